@@ -1,0 +1,41 @@
+# make demo   a Monte Carlo run of every demo scenario: a table, and reports/demo.html
+# make test   the everyday tests        make lint    format, lint, types
+# make verify the long statistical suite        make bench   speed
+SHELL := /bin/bash
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+NATIVE := $(wildcard CMakeLists.txt) $(wildcard pmbm/assignment/*.cpp)
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+
+.PHONY: demo test lint verify bench clean
+.DEFAULT_GOAL := test
+
+$(STAMP): pyproject.toml Makefile $(NATIVE)
+	@python=""; \
+	for candidate in python3 python3.13 python3.12 python3.11 python; do \
+	  if $$candidate -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then \
+	    python=$$candidate; break; \
+	  fi; \
+	done; \
+	if [ -z "$$python" ]; then \
+	  echo "No Python 3.11 or newer with venv and ensurepip was found on PATH: install one (Debian: apt install python3 python3-venv) and run make again." >&2; \
+	  exit 1; \
+	fi; \
+	[ -x $(BIN)/python ] || $$python -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable '.[test,lint,tune,waymo,argoverse2]'
+	@touch $@
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+lint: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf $(VENV) build

@@ -1,0 +1,34 @@
+"""What an object can be."""
+
+from __future__ import annotations
+
+import enum
+from typing import Final
+
+
+class Label(enum.IntEnum):
+    """What an object is; the datasets' classes map onto these in their adapters."""
+
+    CAR = 0
+    TRUCK = 1
+    BUS = 2
+    MOTORCYCLIST = 3
+    CYCLIST = 4
+    PEDESTRIAN = 5
+    OTHER = 6
+
+    @property
+    def default_height(self) -> float:
+        """Height in metres where a source gives none."""
+        return _DEFAULT_HEIGHT[self]
+
+
+_DEFAULT_HEIGHT: Final = {
+    Label.CAR: 1.6,
+    Label.TRUCK: 3.5,
+    Label.BUS: 3.2,
+    Label.MOTORCYCLIST: 1.6,
+    Label.CYCLIST: 1.7,
+    Label.PEDESTRIAN: 1.75,
+    Label.OTHER: 1.6,
+}

@@ -1,0 +1,458 @@
+"""The values that pass between the parts: detections, truth, tracks, recordings.
+
+Conventions (all types, all modules)
+------------------------------------
+- SI units; angles in radians in [-pi, pi); one world frame: right-handed, x east or forward,
+  y north or left, z up, yaw counter-clockwise from x.
+- Values are frozen and arrays are read-only, C-ordered float64 (ids int64, labels int8, flags
+  bool).  Each is checked once, where it is made, and `InputError` names what is wrong.
+- A missing thing is an absent row, never -1 or NaN.  In tables of indices alone, the named
+  constants `CLUTTER` and `ABSENT` mean "no row".
+
+Letters in shapes: N detections or objects in a frame, K tracks in a frame, P mixture components,
+F frames of truth, D deliveries of detections, S steps of a tracker.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any, Final, TypeVar, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmbm.door import Door, frozen
+from pmbm.errors import InputError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+CLUTTER: Final = -1
+"""In `Recording.origin`: this detection comes from no object."""
+ABSENT: Final = -1
+"""In tables of indices: there is no row to point to."""
+
+_Table = TypeVar("_Table", bound="Detections | GroundTruth | GaussianMixture | Tracks")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Detections:
+    """What a detector says of one frame.
+
+    time : seconds.
+    position (N,3) : box centres in the world, m.
+    size (N,3) : length, width, height, m, all > 0.
+    yaw (N,) : rad.
+    score (N,) : confidence in [0, 1].
+    label (N,) : `Label` values.
+    sensor_pose (3,) : x, y, yaw of the sensor in the world.
+    raw_score (N,) or None : the detector's own score on its own scale, where it differs.
+    """
+
+    time: float
+    position: FloatArray
+    size: FloatArray
+    yaw: FloatArray
+    score: FloatArray
+    label: NDArray[np.int8]
+    sensor_pose: FloatArray = field(default_factory=lambda: np.zeros(3))
+    raw_score: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        door = Door(self, "detections")
+        door.time()
+        n = door.rows("position", 3)
+        door.boxes(n)
+        door.unit_interval("score", n)
+        door.labels(n)
+        door.floats("sensor_pose", (3,))
+        if self.raw_score is not None:
+            door.floats("raw_score", (n,))
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @classmethod
+    def empty(cls, time: float, sensor_pose: ArrayLike = (0.0, 0.0, 0.0)) -> Detections:
+        """A frame in which the sensor looked and saw nothing."""
+        return cls(
+            time=time,
+            position=np.zeros((0, 3)),
+            size=np.zeros((0, 3)),
+            yaw=np.zeros(0),
+            score=np.zeros(0),
+            label=np.zeros(0, np.int8),
+            sensor_pose=np.asarray(sensor_pose, dtype=np.float64),
+        )
+
+    def take(self, rows: ArrayLike) -> Detections:
+        """The same frame with only these rows (indices or a mask), in this order."""
+        return _take(self, rows)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GroundTruth:
+    """What is really there at one time.
+
+    time : seconds.
+    id (N,) : int64, unique in the frame, the same object through the recording.
+    position (N,3), size (N,3), yaw (N,) : the boxes, as in `Detections`.
+    velocity (N,2) : m/s in the world.
+    label (N,) : `Label` values.
+    visibility (N,) : unoccluded share of the object's angular extent seen from the sensor.
+    observable (N,) : inside the field of view and range, and visibility >= 0.1.
+    crashed (N,) : has collided.
+    """
+
+    time: float
+    id: IntArray
+    position: FloatArray
+    size: FloatArray
+    yaw: FloatArray
+    velocity: FloatArray
+    label: NDArray[np.int8]
+    visibility: FloatArray
+    observable: BoolArray
+    crashed: BoolArray
+
+    def __post_init__(self) -> None:
+        door = Door(self, "ground truth")
+        door.time()
+        n = door.rows("position", 3)
+        door.ids(n)
+        door.boxes(n)
+        door.floats("velocity", (n, 2))
+        door.labels(n)
+        door.unit_interval("visibility", n)
+        door.flags("observable", n)
+        door.flags("crashed", n)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def take(self, rows: ArrayLike) -> GroundTruth:
+        """The same frame with only these rows (indices or a mask), in this order."""
+        return _take(self, rows)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GaussianMixture:
+    """A weighted sum of Gaussians over x = [x, y, vx, vy]; here the intensity of undetected
+    objects, so the weights add up to an expected number of objects.
+
+    log_weight (P,) : -inf is a weight of zero.
+    mean (P,4) : m and m/s, in the world.
+    cov (P,4,4) : symmetric, positive semi-definite.
+    """
+
+    log_weight: FloatArray
+    mean: FloatArray
+    cov: FloatArray
+
+    def __post_init__(self) -> None:
+        door = Door(self, "Gaussian mixture")
+        n = door.rows("mean", 4)
+        door.floats("cov", (n, 4, 4))
+        door.floats("log_weight", (n,), allow_minus_inf=True)
+
+    def __len__(self) -> int:
+        return len(self.log_weight)
+
+    @classmethod
+    def empty(cls) -> GaussianMixture:
+        """The intensity of nothing."""
+        return cls(log_weight=np.zeros(0), mean=np.zeros((0, 4)), cov=np.zeros((0, 4, 4)))
+
+    def take(self, rows: ArrayLike) -> GaussianMixture:
+        """Only these components (indices or a mask), in this order."""
+        return _take(self, rows)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tracks:
+    """What a tracker says of one frame.
+
+    time : seconds.
+    id (K,) : int64, unique in the frame, the same object through the run.
+    position (K,3), size (K,3), yaw (K,) : the boxes, as in `Detections`.
+    velocity (K,2) : m/s in the world.
+    score (K,) : probability that the object exists, in [0, 1].
+    label (K,) : `Label` values.
+    covariance (K,4,4) or None : of [x, y, vx, vy].
+    undetected : the intensity of objects never detected yet, or None.
+    """
+
+    time: float
+    id: IntArray
+    position: FloatArray
+    size: FloatArray
+    yaw: FloatArray
+    velocity: FloatArray
+    score: FloatArray
+    label: NDArray[np.int8]
+    covariance: FloatArray | None = None
+    undetected: GaussianMixture | None = None
+
+    def __post_init__(self) -> None:
+        door = Door(self, "tracks")
+        door.time()
+        n = door.rows("position", 3)
+        door.ids(n)
+        door.boxes(n)
+        door.floats("velocity", (n, 2))
+        door.unit_interval("score", n)
+        door.labels(n)
+        if self.covariance is not None:
+            door.floats("covariance", (n, 4, 4))
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @classmethod
+    def empty(cls, time: float) -> Tracks:
+        """A frame in which the tracker reports nothing."""
+        return cls(
+            time=time,
+            id=np.zeros(0, np.int64),
+            position=np.zeros((0, 3)),
+            size=np.zeros((0, 3)),
+            yaw=np.zeros(0),
+            velocity=np.zeros((0, 2)),
+            score=np.zeros(0),
+            label=np.zeros(0, np.int8),
+        )
+
+    def take(self, rows: ArrayLike) -> Tracks:
+        """The same frame with only these rows (indices or a mask), in this order."""
+        return _take(self, rows)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TrackSequence(Sequence[Tracks]):
+    """What a tracker said over a recording: one `Tracks` per step, in order of time.
+
+    steps : the reports.
+    frame (S,) : the truth frame each report belongs to, strictly increasing.
+    seconds (S,) : CPU time of each step, s (never part of a result or a digest).
+    dropped : deliveries not given to the tracker because they were older than its last step.
+    inspections : what the tracker's `inspect()` gave after each step, or None.
+    """
+
+    steps: tuple[Tracks, ...]
+    frame: IntArray
+    seconds: FloatArray | None = None
+    dropped: int = 0
+    inspections: tuple[Any, ...] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "steps", tuple(self.steps))
+        door = Door(self, "track sequence")
+        door.ints("frame", (len(self.steps),))
+        if len(self.frame) and (self.frame[0] < 0 or np.any(np.diff(self.frame) <= 0)):
+            raise InputError(
+                "track sequence: frames must increase",
+                field="frame",
+                rows=np.flatnonzero(np.diff(self.frame) <= 0) + 1,
+                got=self.frame.tolist(),
+            )
+        if self.seconds is not None:
+            door.floats("seconds", (len(self.steps),))
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    @overload
+    def __getitem__(self, index: int) -> Tracks: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Tracks, ...]: ...
+    def __getitem__(self, index: int | slice) -> Tracks | tuple[Tracks, ...]:
+        return self.steps[index]
+
+    def __iter__(self) -> Iterator[Tracks]:
+        return iter(self.steps)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Site:
+    """Where the sensor stands and what it can see: everything that does not move.
+
+    occluders : convex polygons, each (V,2), in the world.
+    fov_centre, fov_half_angle : the field of view, relative to the sensor's yaw; half-angle pi
+        is all round.
+    max_range : m.
+    drivable_area : polygons, each (V,2), in the world, or None where unknown.
+    """
+
+    occluders: tuple[FloatArray, ...] = ()
+    fov_centre: float = 0.0
+    fov_half_angle: float = float(np.pi)
+    max_range: float = 100.0
+    drivable_area: tuple[FloatArray, ...] | None = None
+
+    def __post_init__(self) -> None:
+        door = Door(self, "site")
+        object.__setattr__(self, "occluders", door.polygons("occluders", self.occluders))
+        if self.drivable_area is not None:
+            object.__setattr__(
+                self, "drivable_area", door.polygons("drivable_area", self.drivable_area)
+            )
+        door.number("fov_centre")
+        door.number("fov_half_angle", above=0.0, at_most=float(np.pi))
+        door.number("max_range", above=0.0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording:
+    """One run of the world, frame by frame: the truth, and what the detector delivered of it.
+
+    name : of the scene or the log.
+    site : what does not move.
+    truth : F frames, times strictly increasing.
+    detections : D deliveries, in order of arrival (a late one has an earlier time).
+    frame (D,) : the truth frame of each delivery; a frame without one was dropped by the sensor.
+    origin : per delivery (N,) truth row of each detection, or CLUTTER; None where unknown.  For
+        statistics alone: `run` never shows it to a tracker.
+    stamp (F,) : int64 time in the source's own unit.
+    object_name : id -> the source's own id.
+    provenance : what is needed to make the recording again.
+    """
+
+    name: str
+    truth: tuple[GroundTruth, ...]
+    detections: tuple[Detections, ...]
+    frame: IntArray
+    stamp: IntArray
+    site: Site = field(default_factory=Site)
+    origin: tuple[IntArray, ...] | None = None
+    object_name: Mapping[int, str] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "truth", tuple(self.truth))
+        object.__setattr__(self, "detections", tuple(self.detections))
+        object.__setattr__(self, "object_name", MappingProxyType(dict(self.object_name)))
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+        door = Door(self, f"recording '{self.name}'")
+        door.ints("frame", (len(self.detections),))
+        door.ints("stamp", (len(self.truth),))
+        outside = np.flatnonzero((self.frame < 0) | (self.frame >= len(self.truth)))
+        if len(outside):
+            raise InputError(
+                f"recording '{self.name}': a delivery belongs to no frame",
+                field="frame",
+                rows=outside,
+                expected=f"0 to {len(self.truth) - 1}",
+                got=self.frame[outside].tolist(),
+            )
+        times = np.array([frame.time for frame in self.truth])
+        unordered = np.flatnonzero(np.diff(times) <= 0) + 1
+        if len(unordered):
+            raise InputError(
+                f"recording '{self.name}': times of the truth must increase",
+                frame=int(unordered[0]),
+                field="truth.time",
+                got=times[unordered[0]],
+            )
+        if self.origin is not None:
+            self._check_origin()
+
+    def _check_origin(self) -> None:
+        assert self.origin is not None
+        if len(self.origin) != len(self.detections):
+            raise InputError(
+                f"recording '{self.name}': one origin per delivery",
+                field="origin",
+                expected=len(self.detections),
+                got=len(self.origin),
+            )
+        checked = []
+        for delivery, rows in enumerate(self.origin):
+            rows = frozen(np.asarray(rows, dtype=np.int64))
+            objects = len(self.truth[self.frame[delivery]])
+            if rows.shape != (len(self.detections[delivery]),) or np.any(
+                (rows < CLUTTER) | (rows >= objects)
+            ):
+                raise InputError(
+                    f"recording '{self.name}': origin must name a truth row for each detection",
+                    frame=int(self.frame[delivery]),
+                    field="origin",
+                    expected=f"{len(self.detections[delivery])} of {CLUTTER} to {objects - 1}",
+                    got=rows.tolist(),
+                )
+            checked.append(rows)
+        object.__setattr__(self, "origin", tuple(checked))
+
+    def __len__(self) -> int:
+        """Frames of truth."""
+        return len(self.truth)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Mapping proxies do not pickle; plain dicts do, and become proxies again on arrival.
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values["object_name"] = dict(self.object_name)
+        values["provenance"] = dict(self.provenance)
+        return _make_recording, (values,)
+
+    def truth_digest(self) -> str:
+        """A hash of the site, the stamps and the truth: equal bits, equal hash."""
+        return _digest(
+            self.site,
+            self.stamp,
+            sorted(self.object_name.items()),
+            *self.truth,
+        )
+
+    def detections_digest(self) -> str:
+        """A hash of the deliveries and their frames: equal bits, equal hash."""
+        return _digest(self.frame, *self.detections)
+
+    def digest(self) -> str:
+        """A hash of the whole recording but its name and provenance."""
+        return _digest(
+            self.truth_digest(), self.detections_digest(), list(self.origin or ("unknown",))
+        )
+
+
+def _make_recording(values: dict[str, Any]) -> Recording:
+    return Recording(**values)
+
+
+def _take(value: _Table, rows: ArrayLike) -> _Table:
+    """A copy of a table-like value with only these rows of every per-row field."""
+    index = np.asarray(rows)
+    if index.size == 0 and index.dtype != np.bool_:
+        index = index.astype(np.int64)
+    picked = {}
+    for f in fields(value):
+        content = getattr(value, f.name)
+        per_row = isinstance(content, np.ndarray) and f.name != "sensor_pose"
+        picked[f.name] = content[index] if per_row else content
+    return type(value)(**picked)
+
+
+def _digest(*parts: Any) -> str:
+    hasher = hashlib.sha256()
+    for part in parts:
+        _feed(hasher, part)
+    return hasher.hexdigest()
+
+
+def _feed(hasher: Any, part: Any) -> None:
+    """Feed one value, with its type and shape, so that no two different values look alike."""
+    if isinstance(part, np.ndarray):
+        hasher.update(f"array {part.dtype.str} {part.shape};".encode())
+        hasher.update(np.ascontiguousarray(part).tobytes())
+    elif isinstance(part, list | tuple):
+        hasher.update(f"{len(part)} items;".encode())
+        for item in part:
+            _feed(hasher, item)
+    elif hasattr(part, "__dataclass_fields__"):
+        hasher.update(f"{type(part).__name__};".encode())
+        for f in fields(part):
+            _feed(hasher, getattr(part, f.name))
+    else:
+        hasher.update(f"{type(part).__name__} {part!r};".encode())

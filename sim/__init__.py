@@ -1,0 +1,1 @@
+"""Synthetic traffic: scenes, a detector that errs like a real one, scenarios."""
