@@ -40,9 +40,6 @@ class Door:
             array = np.asarray(given)
             if array.dtype == object or array.dtype.kind in "USMmc":
                 raise TypeError
-            if np.dtype(dtype).kind in "iu" and array.dtype.kind not in "iub":
-                if array.size and not np.array_equal(array, np.trunc(array)):
-                    raise TypeError
             converted = array.astype(dtype, copy=False)
             if np.dtype(dtype).kind in "iu" and not np.array_equal(converted, array):
                 raise TypeError

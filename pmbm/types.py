@@ -26,6 +26,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmbm.door import Door, frozen
 from pmbm.errors import InputError
+from pmbm.labels import Label
+
+__all__ = [
+    "ABSENT",
+    "CLUTTER",
+    "BoolArray",
+    "Detections",
+    "FloatArray",
+    "GaussianMixture",
+    "GroundTruth",
+    "IntArray",
+    "Label",
+    "Recording",
+    "Site",
+    "TrackSequence",
+    "Tracks",
+]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
