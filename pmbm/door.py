@@ -40,7 +40,8 @@ class Door:
             array = np.asarray(given)
             if array.dtype == object or array.dtype.kind in "USMmc":
                 raise TypeError
-            converted = array.astype(dtype, copy=False)
+            with np.errstate(invalid="ignore"):
+                converted = array.astype(dtype, copy=False)
             if np.dtype(dtype).kind in "iu" and not np.array_equal(converted, array):
                 raise TypeError
         except (TypeError, ValueError, OverflowError):

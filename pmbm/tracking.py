@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import time
+from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from pmbm.errors import InputError
-from pmbm.types import Detections, Recording, Tracks, TrackSequence
+from pmbm.errors import InputError, nearest_hint
+from pmbm.types import Detections, Recording, Site, Tracks, TrackSequence
 
 
 @runtime_checkable
@@ -17,6 +20,49 @@ class Tracker(Protocol):
     time.  A fresh tracker is made for every recording, so there is nothing to reset."""
 
     def step(self, detections: Detections, /) -> Tracks: ...
+
+
+TrackerFactory = Callable[..., Tracker]
+"""Makes a fresh tracker; one that takes a parameter `site` is given the recording's."""
+
+SHIPPED_TRACKERS = {
+    "pmbm": "pmbm.filter:PMBMTracker",
+    "argoverse": "pmbm.baselines:ArgoverseTracker",
+}
+"""Names that commands and study files may use; any other tracker is named MODULE:FACTORY."""
+
+
+def tracker_factory(name: str) -> TrackerFactory:
+    """The factory behind a shipped name or behind MODULE:FACTORY.
+
+    Raises InputError, with the nearest valid name, where there is none.
+    """
+    home = SHIPPED_TRACKERS.get(name, name)
+    module_name, _, attribute = home.partition(":")
+    if not attribute:
+        raise InputError(
+            f"no tracker '{name}'",
+            expected="a shipped tracker or MODULE:FACTORY",
+            hint=nearest_hint(name, SHIPPED_TRACKERS, "tracker"),
+        )
+    try:
+        factory: Any = importlib.import_module(module_name)
+        for part in attribute.split("."):
+            factory = getattr(factory, part)
+    except (ImportError, AttributeError) as error:
+        raise InputError(f"tracker '{name}' cannot be imported: {error}") from error
+    if not callable(factory):
+        raise InputError(f"tracker '{name}'", expected="a factory", got=type(factory).__name__)
+    return factory
+
+
+def make_tracker(factory: TrackerFactory, site: Site) -> Tracker:
+    """A fresh tracker for one recording; the factory gets `site` where it takes one."""
+    try:
+        takes_site = "site" in inspect.signature(factory).parameters
+    except (TypeError, ValueError):
+        takes_site = False
+    return factory(site=site) if takes_site else factory()
 
 
 def run(tracker: Tracker, recording: Recording, *, record: bool = False) -> TrackSequence:

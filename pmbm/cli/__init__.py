@@ -1,0 +1,104 @@
+"""The command line: one module a command, loaded when it is called.
+
+Exit codes: 0 done, 1 a gate failed or a study has failing trials, 2 bad input, 3 undecided.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any
+
+import click
+
+_COMMANDS = {
+    "scenarios": "What ships, one line each; or one scenario in full.",
+    "run": "One or a few trials of a scenario: a table and an HTML replay.",
+}
+"""Name -> one-line help; `pmbm/cli/NAME.py` (dashes as underscores) holds `command`."""
+
+
+class _LazyGroup(click.Group):
+    """A group that knows its commands' names and help without importing them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        module = importlib.import_module(f"pmbm.cli.{cmd_name.replace('-', '_')}")
+        command: click.Command = module.command
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        from pmbm.errors import InputError, nearest_hint
+
+        if args and not args[0].startswith("-") and args[0] not in _COMMANDS:
+            raise InputError(
+                f"no command '{args[0]}'", hint=nearest_hint(args[0], _COMMANDS, "command")
+            )
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_COMMANDS.items()))
+
+
+def _print_version(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
+    if not value or ctx.resilient_parsing:
+        return
+    from importlib.metadata import version
+
+    click.echo(f"pmbm {version('pmbm')}")
+    ctx.exit()
+
+
+@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and exit.",
+)
+def group() -> None:
+    """Prove a multi-object tracker in controlled traffic before it meets the road.
+
+    \b
+    Example:
+      pmbm run truck_occlusion --trials 5
+    """
+
+
+def main(arguments: list[str] | None = None) -> Any:
+    """The console script: runs a command and turns what a user can get wrong into one line."""
+    from pmbm.errors import InputError
+
+    try:
+        code = group.main(args=arguments, prog_name="pmbm", standalone_mode=False)
+    except InputError as error:
+        _complain(str(error))
+        sys.exit(2)
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        sys.exit(2)
+    except click.ClickException as error:
+        _complain(" ".join(error.format_message().split()))
+        sys.exit(2)
+    except (click.Abort, KeyboardInterrupt):
+        _complain("stopped")
+        sys.exit(130)
+    except OSError as error:
+        # Places to write are the user's to choose; a place that refuses is bad input.
+        what = error.strerror or str(error)
+        _complain(f"{what}: {error.filename}" if error.filename else what)
+        sys.exit(2)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _complain(text: str) -> None:
+    click.echo(f"pmbm: {text}", err=True)
