@@ -1,0 +1,175 @@
+"""The house keeps its layers: each module imports only from those before it."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+LAYERS = [
+    {"pmbm.errors", "pmbm.labels", "pmbm.door", "pmbm.types", "pmbm.geometry", "pmbm.score"}
+    | {"pmbm.provenance"},
+    {"pmbm.assignment", "pmbm.filter", "pmbm.baselines", "pmbm.metrics", "pmbm.datasets"},
+    {"pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"},
+    {"sim"},
+    {"reports"},
+    {"pmbm.cli", "pmbm.pytest_plugin"},
+]
+RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
+SIBLINGS = {
+    "pmbm.assignment": set(),
+    "pmbm.filter": {"pmbm.assignment"},
+    "pmbm.baselines": {"pmbm.assignment"},
+    "pmbm.metrics": set(),
+    "pmbm.datasets": set(),
+}
+"""In the second layer, who may import whom besides itself."""
+
+ONLY_IN = {
+    "highway_env": {"sim/highway.py"},
+    "hypothesis": {"sim/strategies.py"},
+    "trackeval": set(),
+    "motmetrics": set(),
+    "stonesoup": set(),
+    "pickle": set(),
+}
+"""Packages that only these modules may import, or none."""
+
+PYDANTIC_DOORS_ARE_LAZY_FOR = {"pmbm.filter", "pmbm.metrics", "pmbm.baselines", "pmbm.assignment"}
+
+
+def modules():
+    for top in ("pmbm", "sim", "reports"):
+        yield from sorted((ROOT / top).rglob("*.py"))
+
+
+def dotted(path):
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def room(module):
+    """The entry of LAYERS that a dotted module name belongs to."""
+    parts = module.split(".")
+    for length in (2, 1):
+        name = ".".join(parts[:length])
+        if name in RANK:
+            return name
+    return None
+
+
+def imports(path):
+    package = dotted(path).split(".")
+    if path.name != "__init__.py":
+        package = package[:-1]
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    typing_only = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If)
+        and isinstance(node.test, ast.Name)
+        and node.test.id == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if id(node) in typing_only:
+            continue
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            name = ".".join([*base, *([node.module] if node.module else [])])
+            for alias in node.names:
+                yield node.lineno, f"{name}.{alias.name}"
+
+
+def violations(path):
+    here = room(dotted(path))
+    if here is None and dotted(path) != "pmbm":
+        return [f"{path.relative_to(ROOT)} is in no layer"]
+    found = []
+    for line, name in imports(path):
+        there = room(name)
+        place = f"{path.relative_to(ROOT)}:{line} imports {name}"
+        if there is not None and here is not None and there != here:
+            if RANK[there] > RANK[here]:
+                found.append(f"{place}: a later layer")
+            elif RANK[there] == RANK[here] == 1 and there not in SIBLINGS[here]:
+                found.append(f"{place}: a neighbour")
+            elif RANK[there] == RANK[here] == len(LAYERS) - 1:
+                found.append(f"{place}: nobody imports a composition root")
+        allowed = ONLY_IN.get(name.split(".")[0])
+        if allowed is not None and path.relative_to(ROOT).as_posix() not in allowed:
+            found.append(f"{place}: only {', '.join(sorted(allowed)) or 'tests'} may")
+        if name.split(".")[0] == "pydantic" and here in PYDANTIC_DOORS_ARE_LAZY_FOR:
+            found.append(f"{place}: pydantic stands at the doors of files alone")
+    return found
+
+
+@pytest.mark.parametrize("path", list(modules()), ids=dotted)
+def test_each_module_imports_only_from_layers_before_it(path):
+    assert violations(path) == []
+
+
+def test_the_layer_test_sees_a_planted_violation(tmp_path, monkeypatch):
+    planted = tmp_path / "pmbm" / "metrics" / "bad.py"
+    planted.parent.mkdir(parents=True)
+    planted.write_text("from pmbm.filter import PMBMTracker\nimport sim.highway\nimport pickle\n")
+    monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
+    assert [v.split(": ")[-1] for v in violations(planted)] == [
+        "a neighbour",
+        "a later layer",
+        "only tests may",
+    ]
+
+
+def test_nothing_evaluates_or_unpickles_data():
+    forbidden = {"eval", "exec", "compile"}
+    for path in modules():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in forbidden, f"{path}:{node.lineno}"
+            if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
+                assert getattr(node.value, "value", None) is False, f"{path}:{node.value.lineno}"
+
+
+def loaded_by(statement, *names):
+    code = f"import sys\n{statement}\nprint([n for n in {names!r} if n in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    return ast.literal_eval(done.stdout)
+
+
+HEAVY = ("numpy", "scipy", "highway_env", "gymnasium", "pandas", "matplotlib", "pydantic", "click")
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    assert loaded_by("import pmbm", *HEAVY) == []
+    assert loaded_by("import sim", *HEAVY) == []
+
+
+def test_help_loads_no_numpy():
+    statement = "from pmbm.cli import group\ngroup.main(['--help'], standalone_mode=False)"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{statement}\nimport sys\nassert 'numpy' not in sys.modules"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "pmbm run truck_occlusion" in done.stdout
+
+
+def test_every_public_name_can_be_had():
+    import pmbm
+
+    for name in pmbm.__all__:
+        assert getattr(pmbm, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = pmbm.nonsense
