@@ -1,0 +1,79 @@
+"""K best assignments, the plain version: Murty's partition over scipy's assignment solver.
+
+It is the meaning of `pmbm.assignment.k_best` and runs where no compiled kernel is.
+"""
+
+from __future__ import annotations
+
+import heapq
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+Matrix = NDArray[np.float64]
+
+
+class _Node(NamedTuple):
+    """A set of assignments, known by its cheapest member (heap order: cost, then columns).
+
+    The set holds every assignment that agrees with `columns` in the rows before `fixed` and takes
+    none of the columns in `forbidden` in row `fixed`.
+    """
+
+    cost: float
+    columns: tuple[int, ...]
+    fixed: int
+    forbidden: frozenset[int]
+
+
+def k_best(cost: Matrix, k: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """The k cheapest assignments of a checked (R, C) cost matrix.
+
+    Taking the cheapest assignment out of its set leaves a set that falls into disjoint parts, one
+    per row i: agree with it before i, differ from it in i.  Each part's cheapest member is again an
+    assignment problem, so the next best of all waits at the head of a queue of parts.
+
+    Source: K. G. Murty, An algorithm for ranking all the assignments in order of increasing cost,
+    Operations Research 16(3), 1968.
+    """
+    rows = len(cost)
+    queue: list[_Node] = []
+    _enqueue(queue, cost, (), frozenset())
+    best: list[_Node] = []
+    while queue and len(best) < k:
+        node = heapq.heappop(queue)
+        best.append(node)
+        for row in range(node.fixed, rows):
+            inherited = node.forbidden if row == node.fixed else frozenset()
+            _enqueue(queue, cost, node.columns[:row], inherited | {node.columns[row]})
+    # The sums of two assignments may differ by rounding where the partition takes them for equal.
+    best.sort()
+    columns = np.array([node.columns for node in best], dtype=np.int32).reshape(len(best), rows)
+    return columns, np.array([node.cost for node in best], dtype=np.float64)
+
+
+def _enqueue(
+    queue: list[_Node], cost: Matrix, prefix: tuple[int, ...], forbidden: frozenset[int]
+) -> None:
+    """Solve one part, and put it into the queue unless it is empty."""
+    fixed = len(prefix)
+    free = np.setdiff1d(np.arange(cost.shape[1]), prefix, assume_unique=True)
+    rest = cost[fixed:, free]
+    if rest.shape[0] > rest.shape[1]:
+        return
+    rest[:1, np.isin(free, list(forbidden))] = np.inf
+    try:
+        _, chosen = linear_sum_assignment(rest)
+    except ValueError:
+        # scipy's word for "no assignment without a forbidden pair".
+        return
+    columns = (*prefix, *free[chosen].tolist())
+    heapq.heappush(queue, _Node(_total(cost, columns), columns, fixed, forbidden))
+
+
+def _total(cost: Matrix, columns: tuple[int, ...]) -> float:
+    """The cost of an assignment, added in the order of its rows."""
+    taken = cost[np.arange(len(columns)), np.array(columns, dtype=np.intp)]
+    return float(np.cumsum(taken)[-1]) if len(taken) else 0.0
