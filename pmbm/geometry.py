@@ -6,6 +6,8 @@ all in one frame; lengths in metres, angles in radians.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -104,6 +106,151 @@ def iou(
         measure_a, measure_b = measure_a * size_a[:, 2], measure_b * size_b[:, 2]
     result[i, j] = overlap / (measure_a[i] + measure_b[j] - overlap)
     return result
+
+
+def visible_fraction(
+    corners: ArrayLike, sensor_xy: ArrayLike, occluders: Sequence[ArrayLike] = ()
+) -> FloatArray:
+    """Unoccluded share (N,) of each object's angular extent as seen from the sensor, in [0, 1].
+
+    corners : (N,4,2) bird's-eye corners of the objects, in order around each box.
+    sensor_xy : (2,) where the sensor stands.
+    occluders : convex polygons (V,2) that stand still and cast shadows but are not judged.
+
+    Every object is shadowed by the nearer of the others and by the occluders, all as tall as
+    need be.  Exact: two convex outlines keep their order along the rays that hit both, except
+    where they cross, and each shadow is cut there.  A polygon that contains the sensor hides
+    nothing and is seen whole.
+    """
+    objects = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
+    count = len(objects)
+    if count == 0:
+        return np.zeros(0)
+    outline = _stacked(objects, occluders) - np.asarray(sensor_xy, dtype=np.float64)
+    middle, half = _angular_extent(outline)
+    target, other, low, high = _common_arcs(middle, half, count)
+    low, high = low[:, None], high[:, None]
+    plain = ~_bounds_meet(outline, target, other)
+    shadow_target, shadow = [], []
+    for pairs, cuts in (
+        (plain, np.empty((np.count_nonzero(plain), 0))),
+        (~plain, _crossing_angles(outline, middle, target[~plain], other[~plain])),
+    ):
+        edges = np.concatenate(
+            [low[pairs], np.sort(np.clip(cuts, low[pairs], high[pairs])), high[pairs]], axis=1
+        )
+        arcs = np.stack([edges[:, :-1], edges[:, 1:]], axis=-1)
+        ray = arcs.mean(axis=-1) + middle[target[pairs], None]
+        nearer = _entry_distance(outline[other[pairs]], ray) < _entry_distance(
+            outline[target[pairs]], ray
+        ) * (1 - 1e-12)
+        shadow_target.append(np.broadcast_to(target[pairs, None], nearer.shape)[nearer])
+        shadow.append(arcs[nearer])
+    hidden = _union_length(np.concatenate(shadow_target), np.concatenate(shadow), count)
+    extent = 2 * half[:count]
+    seen_whole = extent <= 0
+    share = hidden / np.where(seen_whole, 1.0, extent)
+    return np.where(seen_whole, 1.0, np.clip(1.0 - share, 0.0, 1.0))
+
+
+def _stacked(objects: FloatArray, occluders: Sequence[ArrayLike]) -> FloatArray:
+    """All outlines (M,V,2), counter-clockwise; short ones repeat their last corner."""
+    outlines = [np.asarray(polygon, dtype=np.float64) for polygon in occluders]
+    longest = max([4, *map(len, outlines)])
+    stacked = np.empty((len(objects) + len(outlines), longest, 2))
+    stacked[: len(objects), :4] = objects
+    stacked[: len(objects), 4:] = objects[:, -1:]
+    for row, polygon in enumerate(outlines, start=len(objects)):
+        stacked[row, : len(polygon)] = polygon
+        stacked[row, len(polygon) :] = polygon[-1]
+    about = stacked - stacked[:, :1]
+    clockwise = _cross(about, np.roll(about, -1, axis=1)).sum(axis=1) < 0
+    stacked[clockwise] = stacked[clockwise, ::-1]
+    return stacked
+
+
+def _angular_extent(outline: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Middle angle and half-angle (M,) of outlines around the origin; half 0 around itself."""
+    contains = (_cross(outline, np.roll(outline, -1, axis=1)) >= 0).all(axis=1)
+    angle = np.arctan2(outline[..., 1], outline[..., 0])
+    offset = wrap_angle(angle - angle[:, :1])
+    low, high = offset.min(axis=1), offset.max(axis=1)
+    middle = wrap_angle(angle[:, 0] + (low + high) / 2)
+    return middle, np.where(contains, 0.0, (high - low) / 2)
+
+
+def _common_arcs(
+    middle: FloatArray, half: FloatArray, count: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
+    """Pairs (object, other outline) that share rays, and the shared arc about the object's middle.
+
+    Both half-angles are below pi / 2, so the shared arc is in one piece and does not wrap.
+    """
+    offset = wrap_angle(middle - middle[:count, None])
+    low = np.maximum(-half[:count, None], offset - half)
+    high = np.minimum(half[:count, None], offset + half)
+    shared = low < high
+    np.fill_diagonal(shared, False)
+    target, other = np.nonzero(shared)
+    return target, other, low[target, other], high[target, other]
+
+
+def _bounds_meet(
+    outline: FloatArray, first: NDArray[np.intp], second: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Whether the axis-parallel bounds of two outlines meet, pair by pair."""
+    low, high = outline.min(axis=1), outline.max(axis=1)
+    return ((low[first] <= high[second]) & (low[second] <= high[first])).all(axis=1)
+
+
+def _crossing_angles(
+    outline: FloatArray, middle: FloatArray, first: NDArray[np.intp], second: NDArray[np.intp]
+) -> FloatArray:
+    """Angles (P,V*V), about the middle of `first`, where the outlines of each pair cross."""
+    start, other_start = outline[first][:, :, None], outline[second][:, None]
+    edge = np.roll(outline, -1, axis=1)[first][:, :, None] - start
+    other_edge = np.roll(outline, -1, axis=1)[second][:, None] - other_start
+    between = other_start - start
+    turn = _cross(edge, other_edge)
+    parallel = turn == 0
+    turn = np.where(parallel, 1.0, turn)
+    along, other_along = _cross(between, other_edge) / turn, _cross(between, edge) / turn
+    crossing = ~parallel & (along >= 0) & (along <= 1) & (other_along >= 0) & (other_along <= 1)
+    point = start + along[..., None] * edge
+    angle = np.arctan2(point[..., 1], point[..., 0]) - middle[first][:, None, None]
+    return np.where(crossing, wrap_angle(angle), 0.0).reshape(len(first), outline.shape[1] ** 2)
+
+
+def _entry_distance(outline: FloatArray, ray: FloatArray) -> FloatArray:
+    """Distance (P,A) at which rays (P,A) from the origin, at these angles, enter the outlines
+    (P,V,2) that they hit: the farthest of the edges that face the origin."""
+    edge = np.roll(outline, -1, axis=1) - outline
+    direction = np.stack([np.cos(ray), np.sin(ray)], axis=-1)
+    facing = _cross(direction[:, :, None], edge[:, None])
+    reach = _cross(outline, edge)[:, None] / np.where(facing < 0, facing, -1.0)
+    distance: FloatArray = np.where(facing < 0, reach, -np.inf).max(axis=-1)
+    return distance
+
+
+def _union_length(row: NDArray[np.intp], interval: FloatArray, count: int) -> FloatArray:
+    """Length (count,) of the union of the intervals (I,2) that belong to each row (I,)."""
+    order = np.lexsort((interval[:, 0], row))
+    row, interval = row[order], interval[order]
+    per_row = np.bincount(row, minlength=count)
+    column = np.arange(len(row)) - np.repeat(np.cumsum(per_row) - per_row, per_row)
+    table = np.full((count, per_row.max(initial=0) + 1, 2), -np.inf)
+    table[row, column + 1] = interval
+    reached = np.maximum.accumulate(table[..., 1], axis=1)
+    begin = np.maximum(table[:, 1:, 0], reached[:, :-1])
+    length = np.zeros(begin.shape)
+    np.subtract(table[:, 1:, 1], begin, out=length, where=table[:, 1:, 1] > begin)
+    total: FloatArray = length.sum(axis=1)
+    return total
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    product: FloatArray = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product
 
 
 def _rotation(yaw: float) -> FloatArray:
