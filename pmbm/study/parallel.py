@@ -1,0 +1,75 @@
+"""Trials over processes, for runs short enough to keep no store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, as_completed
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from pmbm.study.trial import Metrics, Source, TrialResult, run_trial
+from pmbm.tracking import TrackerFactory
+
+Progress = Callable[[int, int], None]
+"""Called with trials done and trials in all."""
+
+_THREAD_COUNTS = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+)
+ONE_THREAD = dict.fromkeys(_THREAD_COUNTS, "1")
+"""The environment of a worker: one process a core, and sums in one order."""
+
+
+def process_pool(jobs: int, **options: Any) -> Executor:
+    """A pool of `jobs` fresh processes (loky's: spawned, so nothing leaks in from the parent),
+    each with one BLAS thread."""
+    from loky import ProcessPoolExecutor
+
+    pool: Executor = ProcessPoolExecutor(max_workers=jobs, env=dict(ONE_THREAD), **options)
+    return pool
+
+
+def run_trials(
+    source: Source,
+    trackers: Mapping[str, TrackerFactory | str],
+    seed: int,
+    trials: int,
+    jobs: int = 1,
+    progress: Progress | None = None,
+    metrics: Sequence[str] | Metrics | None = None,
+) -> list[TrialResult]:
+    """Trials 0 to `trials` - 1 in order; the results do not depend on `jobs`.
+
+    With `jobs` = 1 they run in this process.  What a trial raises is raised here, and ends the
+    workers; an interrupt too.
+    """
+    tell = progress or (lambda done, total: None)
+    tell(0, trials)
+    if jobs == 1 or trials == 1:
+        results = []
+        with threadpool_limits(limits=1):
+            for trial in range(trials):
+                results.append(run_trial(source, trackers, seed, trial, metrics))
+                tell(trial + 1, trials)
+        return results
+    pool = process_pool(min(jobs, trials))
+    try:
+        futures = [
+            pool.submit(run_trial, source, trackers, seed, trial, metrics)
+            for trial in range(trials)
+        ]
+        for done, future in enumerate(as_completed(futures), start=1):
+            future.result()
+            tell(done, trials)
+        results = [future.result() for future in futures]
+    except BaseException:
+        pool.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
+        raise
+    pool.shutdown(wait=True)
+    return results
