@@ -1,7 +1,6 @@
 """The shadow test against dense ray casting, and the laws it obeys."""
 
 import numpy as np
-import pytest
 import shapely
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -124,7 +123,9 @@ def test_by_hand():
     np.testing.assert_allclose(share, [0.5, 1.0], atol=1e-12)
     # Two shadows that overlap count once.
     wall = np.array([[5.0, 0.0], [5.0, 9.0], [6.0, 9.0], [6.0, 0.0]])
-    twice = visible_fraction([box(20, 0, 2, 2)], (0, 0), [wall, wall + [2.0, 0.0], wall[::-1]])
+    twice = visible_fraction(
+        [box(20, 0, 2, 2)], (0, 0), [wall, wall + np.array([2.0, 0.0]), wall[::-1]]
+    )
     np.testing.assert_allclose(twice, [0.5], atol=1e-12)
 
 
