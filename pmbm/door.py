@@ -63,21 +63,35 @@ class Door:
         self.number("time")
 
     def number(
-        self, name: str, *, above: float = -np.inf, at_most: float = np.finfo(float).max
+        self,
+        name: str,
+        *,
+        above: float = -np.inf,
+        at_least: float = -np.inf,
+        at_most: float = np.finfo(float).max,
     ) -> None:
         given = getattr(self.value, name)
         try:
             number = float(given)
         except (TypeError, ValueError):
             raise self._fail(name, expected="a number", got=given) from None
-        if not (above < number <= at_most):
+        if not (above < number <= at_most and number >= at_least):
             bounds = "a finite number"
             if np.isfinite(above):
                 bounds += f" above {above:g}"
+            if np.isfinite(at_least):
+                bounds += f" of at least {at_least:g}"
             if at_most < np.finfo(float).max:
                 bounds += f" and at most {at_most:g}"
             raise self._fail(name, expected=bounds, got=given)
         object.__setattr__(self.value, name, number)
+
+    def count(self, name: str, *, at_least: int = 0) -> None:
+        given = getattr(self.value, name)
+        whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
+        if not whole or given < at_least:
+            raise self._fail(name, expected=f"a whole number of at least {at_least}", got=given)
+        object.__setattr__(self.value, name, int(given))
 
     def rows(self, name: str, width: int) -> int:
         array = self._array(name, np.float64)
