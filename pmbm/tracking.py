@@ -28,6 +28,8 @@ TrackerFactory = Callable[..., Tracker]
 SHIPPED_TRACKERS = {
     "pmbm": "pmbm.filter:PMBMTracker",
     "argoverse": "pmbm.baselines:ArgoverseTracker",
+    "waymo": "pmbm.baselines:WaymoTracker",
+    "probabilistic_kf": "pmbm.baselines:ProbabilisticKFTracker",
 }
 """Names that commands and study files may use; any other tracker is named MODULE:FACTORY."""
 

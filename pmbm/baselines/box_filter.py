@@ -15,8 +15,10 @@ from typing import Any, Final
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
+from pmbm.door import Door
+from pmbm.errors import InputError
 from pmbm.geometry import wrap_angle
-from pmbm.types import Detections, FloatArray
+from pmbm.types import Detections, FloatArray, GroundTruth
 
 BOX: Final = 7
 """Measured components: x, y, z, yaw, length, width, height."""
@@ -38,6 +40,19 @@ class BoxNoise:
     process: FloatArray
     measurement: FloatArray
 
+    def __post_init__(self) -> None:
+        door = Door(self, "box noise")
+        states = np.size(self.initial)
+        door.floats("initial", (states,))
+        door.floats("process", (states,))
+        door.floats("measurement", (BOX,))
+        if states not in (10, 11):
+            raise InputError("box noise", field="initial", expected="10 or 11 states", got=states)
+        for name, least in (("initial", 0.0), ("process", -1.0), ("measurement", 0.0)):
+            values = getattr(self, name)
+            if (values <= least).any() or (values < 0).any():
+                raise InputError("box noise", field=name, expected="variances", got=values)
+
     @classmethod
     def uniform(
         cls,
@@ -56,9 +71,16 @@ class BoxNoise:
         )
 
 
-def measured_boxes(detections: Detections) -> FloatArray:
-    """The detections as measurements (N,7)."""
-    return np.column_stack([detections.position, detections.yaw, detections.size])
+def measured_boxes(boxes: Detections | GroundTruth) -> FloatArray:
+    """The boxes of one frame as measurements (N,7)."""
+    return np.column_stack([boxes.position, boxes.yaw, boxes.size])
+
+
+def fold_half_turns(angle: FloatArray) -> FloatArray:
+    """Differences of yaw in [-pi/2, pi/2], rad: a box looks the same from both ends, and a detector
+    may name either its front."""
+    turn = wrap_angle(angle)
+    return np.where(np.abs(turn) > np.pi / 2, wrap_angle(turn + np.pi), turn)
 
 
 def first_state(box: FloatArray, noise: BoxNoise) -> Any:
@@ -83,11 +105,9 @@ def predict(kalman: Any, noise: BoxNoise, frames: float) -> None:
 
 
 def innovations(kalman: Any, boxes: FloatArray) -> FloatArray:
-    """Measured minus predicted (N,7), flipped detections corrected by pi: the yaw's part is in
-    [-pi/2, pi/2], because a box looks the same from both ends and a detector may name either."""
+    """Measured minus predicted (N,7), flipped detections corrected by pi."""
     difference = boxes - kalman.x[:BOX, 0]
-    turn = wrap_angle(difference[:, YAW])
-    difference[:, YAW] = np.where(np.abs(turn) > np.pi / 2, wrap_angle(turn + np.pi), turn)
+    difference[:, YAW] = fold_half_turns(difference[:, YAW])
     return difference
 
 

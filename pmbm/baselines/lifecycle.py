@@ -31,12 +31,14 @@ _ROUNDING: Final = 1e-6
 class Lifecycle:
     """When a track is reported, and when it ends.
 
+    min_score : detections below it are not looked at.
     min_hits : reported from this many detections on, its first one counted.
     max_age : frames without a detection after which it ends.
     coasting : reported in frames without a detection of its own, too.
     frame_rate : frames per second in which ages and velocities are counted, Hz.
     """
 
+    min_score: float
     min_hits: int
     max_age: float
     coasting: bool
@@ -60,13 +62,11 @@ class BoxTracker:
 
     noise : the variances for a label.
     associate : pairs predicted tracks and boxes of one label.
-    min_score : for a label, detections below it are not looked at.
     """
 
     lifecycle: Lifecycle
     noise: Callable[[Label], BoxNoise]
     associate: Associate
-    min_score: Callable[[Label], float]
     _tracks: list[_Track] = field(default_factory=list)
     _time: float | None = None
     _next_id: int = 0
@@ -77,10 +77,9 @@ class BoxTracker:
         Raises InputError, the tracker untouched, where time runs backwards.
         """
         self._advance(detections.time)
+        good = detections.score >= self.lifecycle.min_score
         for label in sorted({*detections.label.tolist(), *(t.label for t in self._tracks)}):
-            least = self.min_score(Label(label))
-            rows = (detections.label == label) & (detections.score >= least)
-            self._match(label, detections.take(rows))
+            self._match(label, detections.take(good & (detections.label == label)))
         self._tracks = [t for t in self._tracks if self._age(t) < self.lifecycle.max_age]
         return self._report(detections.time)
 
