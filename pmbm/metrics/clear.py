@@ -1,0 +1,173 @@
+"""CLEAR MOT by the standard rule: who is matched to whom, frame by frame, and what that counts.
+
+Bernardin, Stiefelhagen, "Evaluating multiple object tracking performance: the CLEAR MOT metrics",
+EURASIP JIVP 2008.  A matching says which pairs belong together; the counts follow from it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmbm.errors import InputError
+from pmbm.metrics.matching import most_then_nearest
+from pmbm.metrics.scene import Pairs, Scene
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Matches:
+    """The matched pairs of a run, sorted by frame, then truth row.
+
+    frame, truth, track (A,) : the frame, and rows of the scene's truth and tracks.
+    distance (A,) : between centres, m.
+    switch (A,) : the track's id differs from that of the object's last match.
+    """
+
+    frame: IntArray
+    truth: IntArray
+    track: IntArray
+    distance: FloatArray
+    switch: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClearCounts:
+    """What CLEAR MOT counts over a run.
+
+    frames, truths, tracks : frames, and rows of either side.
+    matches : matched pairs, those that are identity switches included.
+    misses, false_positives, switches, fragmentations : events.
+    objects, mostly_tracked, mostly_lost : truth ids; tracked in at least 80 %, in less than 20 %
+        of their frames.
+    distance_sum : of matched pairs, m.
+    """
+
+    frames: int
+    truths: int
+    tracks: int
+    matches: int
+    misses: int
+    false_positives: int
+    switches: int
+    fragmentations: int
+    objects: int
+    mostly_tracked: int
+    mostly_lost: int
+    distance_sum: float
+
+
+def clear_matches(scene: Scene, gate: float = 2.0) -> Matches:
+    """Match objects and tracks by the standard CLEAR rule.
+
+    In each frame an object keeps the track of its last match, however long ago, while that track
+    is inside the gate; where two objects remember one track the lower object id keeps it.  The
+    rest is assigned anew: the largest number of pairs, then the least total distance.
+
+    gate : pairs strictly nearer than this, between centres in (x, y, z), m, may match.
+    """
+    if not 0 < gate < np.inf:
+        raise InputError("bad gate", field="gate", expected="above 0 m", got=gate)
+    gated = scene.pairs.take(scene.pairs.distance_xyz < gate)
+    chosen = _continue_tracks(scene, gated)
+    return matches_of(scene, gated.take(chosen))
+
+
+def matches_of(scene: Scene, pairs: Pairs) -> Matches:
+    """These pairs as matches, with the identity switches among them."""
+    truth_id, track_id = scene.truth.index[pairs.truth], scene.tracks.index[pairs.track]
+    order = np.lexsort((pairs.frame, truth_id))
+    again = truth_id[order][1:] == truth_id[order][:-1]
+    other = track_id[order][1:] != track_id[order][:-1]
+    switch = np.zeros(len(pairs), np.bool_)
+    switch[order[1:]] = again & other
+    return Matches(
+        frame=pairs.frame,
+        truth=pairs.truth,
+        track=pairs.track,
+        distance=pairs.distance_xyz,
+        switch=switch,
+    )
+
+
+def clear_counts(scene: Scene, matches: Matches) -> ClearCounts:
+    """Count the events of a matching.
+
+    A fragmentation is a change from tracked to missed of an object between its first and its last
+    tracked frame; a change of identity is none.
+    """
+    tracked = np.zeros(len(scene.truth), np.bool_)
+    tracked[matches.truth] = True
+    objects = len(scene.truth.ids)
+    share = np.bincount(scene.truth.index, tracked, minlength=objects) / np.maximum(
+        np.bincount(scene.truth.index, minlength=objects), 1
+    )
+    return ClearCounts(
+        frames=len(scene),
+        truths=len(scene.truth),
+        tracks=len(scene.tracks),
+        matches=len(matches),
+        misses=len(scene.truth) - len(matches),
+        false_positives=len(scene.tracks) - len(matches),
+        switches=int(matches.switch.sum()),
+        fragmentations=fragmentations(scene, tracked),
+        objects=objects,
+        mostly_tracked=int((share >= 0.8).sum()),
+        mostly_lost=int((share < 0.2).sum()),
+        distance_sum=float(matches.distance.sum()),
+    )
+
+
+def fragmentations(scene: Scene, tracked: BoolArray) -> int:
+    """Interruptions of tracked objects that are taken up again, tracked (N,) per truth row."""
+    order = scene.truth.by_object
+    # An interruption taken up again is a restart: between consecutive tracked rows of one object
+    # there is at least one row of it that is not tracked.
+    object_place = np.arange(len(order))[tracked[order]]
+    object_id = scene.truth.index[order][tracked[order]]
+    same = object_id[1:] == object_id[:-1]
+    return int((same & (np.diff(object_place) > 1)).sum())
+
+
+def _continue_tracks(scene: Scene, gated: Pairs) -> IntArray:
+    """The chosen rows of `gated`: last matches first, the rest by the best assignment."""
+    truth_id = scene.truth.index[gated.truth].tolist()
+    track_id = scene.tracks.index[gated.track].tolist()
+    cuts = np.searchsorted(gated.frame, np.arange(len(scene) + 1)).tolist()
+    last: dict[int, int] = {}
+    chosen: list[int] = []
+    for begin, end in itertools.pairwise(cuts):
+        taken_truth: set[int] = set()
+        taken_track: set[int] = set()
+        for pair in range(begin, end):
+            i, j = truth_id[pair], track_id[pair]
+            if last.get(i) == j and j not in taken_track:
+                taken_truth.add(i)
+                taken_track.add(j)
+                chosen.append(pair)
+        rest = [
+            pair
+            for pair in range(begin, end)
+            if truth_id[pair] not in taken_truth and track_id[pair] not in taken_track
+        ]
+        if not rest:
+            continue
+        new = rest
+        if len(rest) > 1:
+            rows = np.array(rest)
+            new = rows[
+                most_then_nearest(gated.truth[rows], gated.track[rows], gated.distance_xyz[rows])
+            ].tolist()
+        for pair in new:
+            last[truth_id[pair]] = track_id[pair]
+        chosen.extend(new)
+    return np.sort(np.array(chosen, dtype=np.int64))

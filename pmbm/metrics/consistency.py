@@ -1,0 +1,93 @@
+"""Is the reported covariance honest?  NEES of estimates, NIS of innovations.
+
+Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
+section 5.4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+from pmbm.errors import InputError
+from pmbm.geometry import wrap_angle
+
+FloatArray = NDArray[np.float64]
+
+
+def normalised_squares(
+    errors: ArrayLike, covariances: ArrayLike, *, angles: tuple[int, ...] = ()
+) -> FloatArray:
+    """e' P^-1 e of each error: NEES of state errors, NIS of innovations.
+
+    errors (..., d); covariances (..., d, d), of the same leading shape or one that broadcasts.
+    angles : components that are angles, rad; they are wrapped into [-pi, pi) first.
+    Raises InputError, naming the rows, where a covariance is not positive definite.
+    """
+    e = np.array(errors, dtype=np.float64)
+    covariance = np.asarray(covariances, dtype=np.float64)
+    if not np.isfinite(e).all() or not np.isfinite(covariance).all():
+        raise InputError("bad errors or covariances", field="errors", expected="finite numbers")
+    for angle in angles:
+        e[..., angle] = wrap_angle(e[..., angle])
+    try:
+        factor = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        eigenvalues = np.linalg.eigvalsh(covariance).reshape(-1, covariance.shape[-1])
+        raise InputError(
+            "singular covariance",
+            field="covariance",
+            rows=np.flatnonzero(eigenvalues[:, 0] <= 0),
+            expected="positive definite",
+            got=f"smallest eigenvalue {eigenvalues.min():g}",
+        ) from None
+    white = np.linalg.solve(factor, e[..., None])[..., 0]
+    return np.einsum("...d,...d->...", white, white)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Consistency:
+    """NEES (or NIS) of M runs over S steps against its chi-square bounds.
+
+    run_mean (S,) : mean over runs at each step.
+    step_bounds : 95 % of the means of M consistent runs lie between, at one step.
+    fraction_inside : share of steps inside; about 0.95 for a consistent filter.
+    mean : over runs and steps.  anees : mean / d; 1 for a consistent filter.
+    bounds : 95 % bounds of `mean`.
+    """
+
+    run_mean: FloatArray
+    step_bounds: tuple[float, float]
+    fraction_inside: float
+    mean: float
+    anees: float
+    bounds: tuple[float, float]
+
+
+def consistency(squares: ArrayLike, dimension: int) -> Consistency:
+    """Judge normalised squares (M,S) of M runs and S steps, of errors of `dimension` d."""
+    values = np.asarray(squares, dtype=np.float64)
+    if values.ndim != 2 or values.size == 0:
+        raise InputError(
+            "bad normalised squares", field="squares", expected="(M >= 1, S >= 1)", got=values.shape
+        )
+    runs, steps = values.shape
+    run_mean = values.mean(axis=0)
+    low, high = chi2_bounds(dimension, runs)
+    return Consistency(
+        run_mean=run_mean,
+        step_bounds=(low, high),
+        fraction_inside=float(((run_mean >= low) & (run_mean <= high)).mean()),
+        mean=float(values.mean()),
+        anees=float(values.mean()) / dimension,
+        bounds=chi2_bounds(dimension, runs * steps),
+    )
+
+
+def chi2_bounds(dimension: int, count: int) -> tuple[float, float]:
+    """Where 95 % of means of `count` independent normalised squares of `dimension` lie."""
+    low, high = chi2.ppf([0.025, 0.975], dimension * count) / count
+    return float(low), float(high)

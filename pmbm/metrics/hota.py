@@ -1,0 +1,82 @@
+"""HOTA: detection and association quality in equal parts, averaged over localisation thresholds.
+
+Luiten, Osep, Dendorfer, Torr, Geiger, Leal-Taixe, Leibe, "HOTA: a higher order metric for
+evaluating multi-object tracking", IJCV 2020.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmbm.metrics.identity import id_pairs
+from pmbm.metrics.matching import best_matching
+from pmbm.metrics.scene import Scene
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+ALPHAS: Final = np.arange(0.05, 0.99, 0.05)
+"""The thresholds on similarity."""
+_EPS: Final = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HotaCounts:
+    """What HOTA adds up at each of the A thresholds `ALPHAS`.
+
+    true_positives, misses, false_positives (A,) : rows.
+    association, association_recall, association_precision (A,) : over true positives, the sum of
+        the share of its identities' rows that agree (of both, of the object's, of the track's).
+    similarity (A,) : sum over true positives.
+    """
+
+    true_positives: IntArray
+    misses: IntArray
+    false_positives: IntArray
+    association: FloatArray
+    association_recall: FloatArray
+    association_precision: FloatArray
+    similarity: FloatArray
+
+
+def distance_similarity(distance: FloatArray, zero_at: float = 4.0) -> FloatArray:
+    """max(0, 1 - d / zero_at), distances and `zero_at` in m."""
+    return np.maximum(0.0, 1.0 - distance / zero_at)
+
+
+def hota_counts(scene: Scene, similarity: FloatArray) -> HotaCounts:
+    """Match every frame by global alignment times similarity, and count at each threshold.
+
+    similarity (Q,) : of the scene's pairs, in [0, 1].
+    """
+    alike = np.flatnonzero(similarity > 0)
+    s = similarity[alike]
+    truth, track = scene.pairs.truth[alike], scene.pairs.track[alike]
+    of_truth = np.bincount(truth, s, minlength=len(scene.truth))[truth]
+    of_track = np.bincount(track, s, minlength=len(scene.tracks))[track]
+    truth_id, track_id, place, _ = id_pairs(scene, alike)
+    truth_rows = np.bincount(scene.truth.index, minlength=1)[truth_id]
+    track_rows = np.bincount(scene.tracks.index, minlength=1)[track_id]
+    overlap = np.bincount(place, s / (of_truth + of_track - s), minlength=len(truth_id))
+    alignment = overlap / (truth_rows + track_rows - overlap)
+    chosen = best_matching(truth, track, alignment[place] * s)
+    s, place = s[chosen], place[chosen]
+
+    passes = s[:, None] >= ALPHAS - _EPS
+    together = np.zeros((len(truth_id), len(ALPHAS)))
+    np.add.at(together, place, passes)
+    true_positives = passes.sum(axis=0)
+    rows = truth_rows[:, None] + track_rows[:, None]
+    return HotaCounts(
+        true_positives=true_positives,
+        misses=len(scene.truth) - true_positives,
+        false_positives=len(scene.tracks) - true_positives,
+        association=(together**2 / np.maximum(1, rows - together)).sum(axis=0),
+        association_recall=(together**2 / np.maximum(1, truth_rows[:, None])).sum(axis=0),
+        association_precision=(together**2 / np.maximum(1, track_rows[:, None])).sum(axis=0),
+        similarity=(passes * s[:, None]).sum(axis=0),
+    )

@@ -1,0 +1,262 @@
+"""What every metric gives back: one value with its rule, its parts and what is needed to combine.
+
+A value is always a formula of counts (sums over frames and objects) or of samples.  Recordings are
+combined by adding the counts and applying the same formula, never by averaging ratios.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmbm.errors import InputError, nearest_hint
+from pmbm.labels import Label
+
+FloatArray = NDArray[np.float64]
+Counts = Mapping[str, Any]
+"""Numbers or arrays that add up, and `Samples`, which join, over recordings."""
+Scope = Literal["all", "observable"]
+Direction = Literal["higher", "lower", "none"]
+
+OBSERVABLE = "_observable"
+
+
+@dataclass(frozen=True)
+class Undefined:
+    """Why a formula has no value for these counts."""
+
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One number per object or event; over recordings they are joined."""
+
+    values: FloatArray
+
+    def __add__(self, other: Samples | int) -> Samples:
+        if isinstance(other, int):
+            return self
+        return Samples(np.concatenate([self.values, other.values]))
+
+    __radd__ = __add__
+
+
+@dataclass(frozen=True, kw_only=True)
+class Definition:
+    """What a name stands for.
+
+    name, variant : of the metric, and whose rule it follows.
+    unit, direction : of the value; which way is better.
+    answers : the question it answers, in a few words.
+    group : metrics of one group are counted together.
+    formula : counts -> value.
+    parts : counts -> further numbers worth showing beside the value.
+    series : name of the group's per-frame series, or None.
+    """
+
+    name: str
+    group: str
+    unit: str
+    direction: Direction
+    answers: str
+    formula: Callable[[Counts], float | Undefined]
+    variant: str = "standard"
+    parts: Callable[[Counts], Mapping[str, float]] | None = None
+    series: str | None = None
+
+    def value(
+        self,
+        counts: Counts,
+        *,
+        scope: Scope = "all",
+        parameters: Mapping[str, Any],
+        series: FloatArray | None = None,
+    ) -> MetricValue:
+        """The metric's value for these counts."""
+        outcome = self.formula(counts)
+        undefined = isinstance(outcome, Undefined)
+        return MetricValue(
+            name=self.name + (OBSERVABLE if scope == "observable" else ""),
+            variant=self.variant,
+            value=None if undefined else float(outcome),  # type: ignore[arg-type]
+            reason=outcome.reason if isinstance(outcome, Undefined) else None,
+            unit=self.unit,
+            direction=self.direction,
+            scope=scope,
+            parameters=parameters,
+            components={} if undefined or self.parts is None else self.parts(counts),
+            series=series,
+            counts=counts,
+            definition=self,
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MetricValue:
+    """One metric of one run, or of several combined.
+
+    name : as in the table; "_observable" at its end where only observable objects are scored.
+    variant : whose rule it follows.
+    value : None where undefined, with the `reason`.
+    unit, direction : "higher" or "lower" is better, or "none".
+    scope : "all" objects, or "observable" ones.
+    parameters : thresholds and orders it was computed with.
+    components : parts of the value, by name.
+    series (F,) or None : the value of each frame.
+    counts : what adds up over recordings.
+    """
+
+    name: str
+    variant: str
+    value: float | None
+    reason: str | None
+    unit: str
+    direction: Direction
+    scope: Scope
+    parameters: Mapping[str, Any]
+    components: Mapping[str, float]
+    series: FloatArray | None
+    counts: Counts
+    definition: Definition = field(repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("parameters", "components", "counts"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        if self.series is not None:
+            self.series.flags.writeable = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {
+            f.name: dict(value) if isinstance(value, MappingProxyType) else value
+            for f in fields(self)
+            if f.name != "definition"
+            for value in [getattr(self, f.name)]
+        }
+        return _restored, (values, self.definition.name, self.definition.variant)
+
+
+def _restored(values: dict[str, Any], name: str, variant: str) -> MetricValue:
+    from pmbm.metrics.catalogue import definition
+
+    return MetricValue(**values, definition=definition(name, variant))
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation(Mapping[str, MetricValue]):
+    """The metrics of one run, or of several combined, by name.
+
+    metrics : the metrics, in order.
+    recordings : how many runs are in it.
+    per_class : the same of each class alone (truth and tracks of that label), where asked for.
+    """
+
+    metrics: tuple[MetricValue, ...]
+    recordings: int = 1
+    per_class: Mapping[Label, Evaluation] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_by_name", {value.name: value for value in self.metrics})
+
+    def __getitem__(self, name: str) -> MetricValue:
+        by_name: dict[str, MetricValue] = self.__dict__["_by_name"]
+        if name not in by_name:
+            raise InputError(f"no metric '{name}'", hint=nearest_hint(name, by_name, "metric"))
+        return by_name[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.__dict__["_by_name"]
+
+    def get(self, name: object, default: Any = None) -> Any:
+        """The metric of this name, or `default` where it was not evaluated."""
+        return self.__dict__["_by_name"].get(name, default)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.__dict__["_by_name"])
+
+    def __len__(self) -> int:
+        return len(self.metrics)
+
+    def scalars(self) -> dict[str, float | None]:
+        """Values alone, by name: for tables and JSON."""
+        return {value.name: value.value for value in self.metrics}
+
+    def __str__(self) -> str:
+        rows = [("metric", "all", "observable", "unit", "better", "rule")]
+        bases = dict.fromkeys(name.removesuffix(OBSERVABLE) for name in self)
+        for base in bases:
+            all_, observable = self.get(base), self.get(base + OBSERVABLE)
+            shown = all_ or observable
+            assert shown is not None
+            rows.append(
+                (
+                    base,
+                    _text(all_),
+                    _text(observable),
+                    shown.unit,
+                    "" if shown.direction == "none" else shown.direction,
+                    shown.variant,
+                )
+            )
+        widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+        lines = [
+            "  ".join(
+                cell.rjust(width) if column in (1, 2) else cell.ljust(width)
+                for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ).rstrip()
+            for row in rows
+        ]
+        for value in self.metrics:
+            if value.value is None:
+                lines.append(f"{value.name} is undefined: {value.reason}")
+        return "\n".join(lines)
+
+
+def combine(evaluations: Sequence[Evaluation]) -> Evaluation:
+    """Several runs as one: counts are added and every formula applied to the sums.
+
+    Raises InputError where there is nothing to combine, or where the evaluations differ in their
+    metrics or parameters.
+    """
+    if not evaluations:
+        raise InputError("no evaluations to combine", field="evaluations", expected="at least one")
+    first = evaluations[0]
+    for other in evaluations[1:]:
+        if list(other) != list(first):
+            raise InputError(
+                "evaluations of different metrics cannot be combined",
+                got=", ".join(sorted(set(first) ^ set(other))),
+            )
+    labels = dict.fromkeys(label for one in evaluations for label in one.per_class)
+    return Evaluation(
+        tuple(_combined([one[name] for one in evaluations]) for name in first),
+        recordings=sum(one.recordings for one in evaluations),
+        per_class={
+            label: combine([one.per_class[label] for one in evaluations if label in one.per_class])
+            for label in sorted(labels)
+        },
+    )
+
+
+def _combined(values: Sequence[MetricValue]) -> MetricValue:
+    first = values[0]
+    for other in values[1:]:
+        if dict(other.parameters) != dict(first.parameters) or other.variant != first.variant:
+            raise InputError(
+                f"values of '{first.name}' by different rules cannot be combined",
+                expected=f"{first.variant} {dict(first.parameters)}",
+                got=f"{other.variant} {dict(other.parameters)}",
+            )
+    counts = {key: sum(value.counts[key] for value in values) for key in first.counts}
+    return first.definition.value(counts, scope=first.scope, parameters=first.parameters)
+
+
+def _text(value: MetricValue | None) -> str:
+    if value is None:
+        return ""
+    return "undefined" if value.value is None else f"{value.value:.4g}"

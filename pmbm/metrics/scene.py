@@ -1,0 +1,260 @@
+"""Truth and tracks of a run in flat tables: what every metric reads.
+
+Rows are sorted by frame and, inside a frame, by id, so that no metric can depend on the order of
+objects inside a frame.  Distances of a frame's pairs are computed once and shared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmbm.errors import InputError
+from pmbm.types import GroundTruth, Recording, Tracks, TrackSequence
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Boxes:
+    """One side of the comparison over all frames.
+
+    frame, id (N,) : rows sorted by frame, then id; each id at most once in a frame.
+    position (N,3), size (N,3), yaw (N,), velocity (N,2), label (N,) : as in `pmbm.types`.
+    score (N,) : existence probability or confidence; 1 for truth.
+    observable (N,) : True for tracks.
+    covariance (N,4,4) : of [x, y, vx, vy]; NaN rows where the tracker gives none.
+    """
+
+    frame: IntArray
+    id: IntArray
+    position: FloatArray
+    size: FloatArray
+    yaw: FloatArray
+    velocity: FloatArray
+    label: NDArray[np.int8]
+    score: FloatArray
+    observable: BoolArray
+    covariance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def take(self, rows: ArrayLike) -> Boxes:
+        """Only these rows (a mask, or indices in ascending order)."""
+        index = np.asarray(rows)
+        return Boxes(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    def count(self, frames: int) -> IntArray:
+        """Rows in each of `frames` frames, (F,)."""
+        return np.bincount(self.frame, minlength=frames)
+
+    @cached_property
+    def ids(self) -> IntArray:
+        """The distinct ids, ascending."""
+        return np.unique(self.id)
+
+    @cached_property
+    def index(self) -> IntArray:
+        """For each row the place of its id in `ids`, (N,)."""
+        return np.searchsorted(self.ids, self.id)
+
+    @cached_property
+    def by_object(self) -> IntArray:
+        """The rows sorted by id, then frame, (N,)."""
+        return np.lexsort((self.frame, self.id))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Pairs:
+    """All truth and track rows of the same frame, in order of truth row, then track row.
+
+    frame, truth, track (Q,) : the frame, and rows of the two `Boxes`.
+    distance (Q,) : between centres in (x, y), m.
+    distance_xyz (Q,) : between centres in (x, y, z), m.
+    """
+
+    frame: IntArray
+    truth: IntArray
+    track: IntArray
+    distance: FloatArray
+    distance_xyz: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def take(self, rows: ArrayLike) -> Pairs:
+        index = np.asarray(rows)
+        return Pairs(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Scene:
+    """A run to be scored: F frames of truth and tracks.
+
+    time (F,) : s, increasing.
+    truth, tracks : the two sides.
+    """
+
+    time: FloatArray
+    truth: Boxes
+    tracks: Boxes
+
+    def __len__(self) -> int:
+        """Frames."""
+        return len(self.time)
+
+    @property
+    def period(self) -> float | None:
+        """Median time between frames, s; None with fewer than two frames."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else None
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Every pair of a truth and a track of the same frame."""
+        truth, track = pair_rows(self.truth.frame, self.tracks.count(len(self)))
+        offset = self.truth.position[truth] - self.tracks.position[track]
+        squared = offset * offset
+        flat = squared[:, 0] + squared[:, 1]
+        return Pairs(
+            frame=self.truth.frame[truth],
+            truth=truth,
+            track=track,
+            distance=np.sqrt(flat),
+            distance_xyz=np.sqrt(flat + squared[:, 2]),
+        )
+
+    def with_rows(self, truth: ArrayLike, tracks: ArrayLike) -> Scene:
+        """The same frames with only these rows of either side."""
+        return Scene(time=self.time, truth=self.truth.take(truth), tracks=self.tracks.take(tracks))
+
+
+def pair_rows(truth_frame: IntArray, tracks_per_frame: IntArray) -> tuple[IntArray, IntArray]:
+    """Rows (Q,) and (Q,) of all truth and track pairs of a frame, both sides sorted by frame."""
+    partners = tracks_per_frame[truth_frame]
+    first_track = np.cumsum(tracks_per_frame) - tracks_per_frame
+    truth = np.repeat(np.arange(len(truth_frame)), partners)
+    first_pair = np.cumsum(partners) - partners
+    shift = np.repeat(first_pair - first_track[truth_frame], partners)
+    return truth, np.arange(len(truth)) - shift
+
+
+def scene_of(recording: Recording, tracks: TrackSequence | Sequence[Tracks]) -> Scene:
+    """The frames that were stepped, against the truth of those frames.
+
+    Raises InputError where `tracks` has frames that the recording has not, is a plain sequence of
+    another length than the recording, or has times that do not increase.
+    """
+    if isinstance(tracks, TrackSequence):
+        frame = tracks.frame
+        if len(frame) and frame[-1] >= len(recording):
+            raise InputError(
+                f"tracks and recording '{recording.name}' have unequal frames",
+                frame=int(frame[-1]),
+                field="frame",
+                expected=f"0 to {len(recording) - 1}",
+                got=int(frame[-1]),
+            )
+    else:
+        if len(tracks) != len(recording):
+            raise InputError(
+                f"tracks and recording '{recording.name}' have unequal frames",
+                field="tracks",
+                expected=f"{len(recording)} frames",
+                got=len(tracks),
+                hint="give the TrackSequence of run(), which knows its frames, or one Tracks value "
+                "per frame of truth",
+            )
+        frame = np.arange(len(recording))
+    return make_scene([recording.truth[k] for k in frame], tracks)
+
+
+def make_scene(truth: Sequence[GroundTruth], tracks: Iterable[Tracks]) -> Scene:
+    """The scene of these frames, `tracks[k]` reported for `truth[k]`.
+
+    Raises InputError where their numbers differ or times do not increase.
+    """
+    reports = list(tracks)
+    for position, report in enumerate(reports):
+        if not isinstance(report, Tracks):
+            raise InputError(
+                "not tracks", frame=position, expected="pmbm.Tracks", got=type(report).__name__
+            )
+    if len(truth) != len(reports):
+        raise InputError(
+            "truth and tracks have unequal frames",
+            field="tracks",
+            expected=f"{len(truth)} frames",
+            got=len(reports),
+        )
+    time = np.array([frame.time for frame in truth], dtype=np.float64)
+    check_increasing(time, "truth")
+    check_increasing(np.array([report.time for report in reports]), "tracks")
+    return Scene(time=time, truth=_truth_boxes(truth), tracks=_track_boxes(reports))
+
+
+def check_increasing(time: FloatArray, what: str) -> None:
+    """Raise InputError, naming the first frame, where times do not increase."""
+    unordered = np.flatnonzero(np.diff(time) <= 0) + 1
+    if len(unordered):
+        raise InputError(
+            f"times of the {what} must increase",
+            frame=int(unordered[0]),
+            field="time",
+            expected=f"above {time[unordered[0] - 1]:g} s",
+            got=float(time[unordered[0]]),
+        )
+
+
+def _truth_boxes(frames: Sequence[GroundTruth]) -> Boxes:
+    rows = sum(map(len, frames))
+    columns = _columns(frames)
+    return _sorted_boxes(
+        **columns,
+        score=np.ones(rows),
+        observable=_joined([frame.observable for frame in frames], (0,), np.bool_),
+        covariance=np.full((rows, 4, 4), np.nan),
+    )
+
+
+def _track_boxes(frames: Sequence[Tracks]) -> Boxes:
+    rows = sum(map(len, frames))
+    columns = _columns(frames)
+    covariance = [
+        np.full((len(frame), 4, 4), np.nan) if frame.covariance is None else frame.covariance
+        for frame in frames
+    ]
+    return _sorted_boxes(
+        **columns,
+        score=_joined([frame.score for frame in frames], (0,), np.float64),
+        observable=np.ones(rows, np.bool_),
+        covariance=_joined(covariance, (0, 4, 4), np.float64),
+    )
+
+
+def _columns(frames: Sequence[GroundTruth] | Sequence[Tracks]) -> dict[str, Any]:
+    return {
+        "frame": np.repeat(np.arange(len(frames)), [len(frame) for frame in frames]),
+        "id": _joined([frame.id for frame in frames], (0,), np.int64),
+        "position": _joined([frame.position for frame in frames], (0, 3), np.float64),
+        "size": _joined([frame.size for frame in frames], (0, 3), np.float64),
+        "yaw": _joined([frame.yaw for frame in frames], (0,), np.float64),
+        "velocity": _joined([frame.velocity for frame in frames], (0, 2), np.float64),
+        "label": _joined([frame.label for frame in frames], (0,), np.int8),
+    }
+
+
+def _joined(arrays: list[Any], empty: tuple[int, ...], dtype: type) -> NDArray[Any]:
+    return np.concatenate(arrays) if arrays else np.zeros(empty, dtype)
+
+
+def _sorted_boxes(**columns: NDArray[Any]) -> Boxes:
+    order = np.lexsort((columns["id"], columns["frame"]))
+    return Boxes(**{name: column[order] for name, column in columns.items()})
