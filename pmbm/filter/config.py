@@ -1,0 +1,130 @@
+"""The configuration of the PMBM tracker, checked where it is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from pmbm.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class PMBMConfig:
+    """What the tracker assumes of the world, and how much it keeps in mind.
+
+    Motion and life
+    survival : P_S over `survival_interval`, in [0, 1] (Pang & Radha 2021, Sec. 2.5).
+    survival_interval : s, > 0.
+    spectral_density : of the white-noise acceleration, m^2/s^3, >= 0 (Sec. 2.5).
+
+    Sensor
+    measurement_sd : standard deviation of a measured position, per axis, m, > 0.
+    detection_probability : P_D of an object in view, in [0, 1] (Sec. 2.6).
+    clutter_rate : expected false detections per frame over the field of view, >= 0.
+
+    Undetected objects (Sec. 2.2)
+    birth_rate : expected new objects per second over the field of view, >= 0.
+    initial_objects : expected number of objects in view before the first frame, >= 0.
+    birth_components : Gaussians that the births are spread over, >= 1.
+    birth_speed_sd : standard deviation of a new object's velocity, per axis, m/s, > 0.
+
+    Reduction (Sec. 2.7)
+    gate : squared Mahalanobis distance of a measurement that may be a track's, > 0.
+    max_hypotheses : global hypotheses kept per cluster, >= 1; a parent of weight w has at most
+        ceil(max_hypotheses w) children.
+    prune_hypothesis : global hypotheses of a weight up to this are dropped, in [0, 1).
+    recycle_below : Bernoullis of an existence below this leave the mixture, in [0, 1].
+    recycle : whether these become PPP components, or are forgotten.
+    prune_undetected : PPP components of a weight up to this are dropped, >= 0.
+    merge_undetected : PPP components nearer than this squared Mahalanobis distance are merged,
+        >= 0; 0 is never.
+    max_tracks, max_undetected : tracks and PPP components kept, >= 1.
+    clustering : whether independent groups of tracks are kept apart; off, one table of global
+        hypotheses spans the scene (the textbook form, for small scenes).
+
+    Output
+    report_above : a track is reported when its probability of existence exceeds this, in [0, 1].
+    history : steps of association history kept per hypothesis, to look at, >= 0.
+    """
+
+    survival: float = 0.99
+    survival_interval: float = 0.1
+    spectral_density: float = 2.0
+    measurement_sd: float = 0.3
+    detection_probability: float = 0.9
+    clutter_rate: float = 2.0
+    birth_rate: float = 0.5
+    initial_objects: float = 3.0
+    birth_components: int = 7
+    birth_speed_sd: float = 10.0
+    gate: float = 20.0
+    max_hypotheses: int = 200
+    prune_hypothesis: float = 1e-4
+    recycle_below: float = 0.01
+    recycle: bool = True
+    prune_undetected: float = 1e-5
+    merge_undetected: float = 1.0
+    max_tracks: int = 200_000
+    max_undetected: int = 200_000
+    clustering: bool = True
+    report_above: float = 0.5
+    history: int = 0
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            _check(f.name, getattr(self, f.name), type(f.default))
+        for name, (low, high, open_low, open_high) in _BOUNDS.items():
+            value = getattr(self, name)
+            too_low = value <= low if open_low else value < low
+            too_high = value >= high if open_high else value > high
+            if too_low or too_high:
+                left, right = "(" if open_low else "[", ")" if open_high else "]"
+                raise InputError(
+                    "PMBM configuration",
+                    field=name,
+                    expected=f"a number in {left}{low:g}, {high:g}{right}",
+                    got=value,
+                )
+
+
+_PROBABILITY = (0.0, 1.0, False, False)
+_POSITIVE = (0.0, np.inf, True, True)
+_NOT_NEGATIVE = (0.0, np.inf, False, True)
+_COUNT = (1, np.inf, False, True)
+_BOUNDS: dict[str, tuple[float, float, bool, bool]] = {
+    "survival": _PROBABILITY,
+    "survival_interval": _POSITIVE,
+    "spectral_density": _NOT_NEGATIVE,
+    "measurement_sd": _POSITIVE,
+    "detection_probability": _PROBABILITY,
+    "clutter_rate": _NOT_NEGATIVE,
+    "birth_rate": _NOT_NEGATIVE,
+    "initial_objects": _NOT_NEGATIVE,
+    "birth_components": _COUNT,
+    "birth_speed_sd": _POSITIVE,
+    "gate": _POSITIVE,
+    "max_hypotheses": _COUNT,
+    "prune_hypothesis": (0.0, 1.0, False, True),
+    "recycle_below": _PROBABILITY,
+    "prune_undetected": _NOT_NEGATIVE,
+    "merge_undetected": _NOT_NEGATIVE,
+    "max_tracks": _COUNT,
+    "max_undetected": _COUNT,
+    "report_above": _PROBABILITY,
+    "history": (0, np.inf, False, True),
+}
+
+
+def _check(name: str, value: Any, kind: type) -> None:
+    """A number where a number belongs (ints may stand for floats), never NaN."""
+    allowed: tuple[type, ...] = {
+        float: (int, float, np.integer, np.floating),
+        int: (int, np.integer),
+        bool: (bool, np.bool_),
+    }[kind]
+    is_bool = isinstance(value, bool | np.bool_)
+    if not isinstance(value, allowed) or is_bool != (kind is bool) or value != value:
+        what = {float: "a number", int: "a whole number", bool: "true or false"}[kind]
+        raise InputError("PMBM configuration", field=name, expected=what, got=value)

@@ -1,0 +1,224 @@
+"""The PMBM density: a Poisson process of undetected objects and, in product form over independent
+clusters, a multi-Bernoulli mixture of detected ones (Pang & Radha 2021, Sec. 2.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmbm.types import ABSENT, FloatArray, GaussianMixture
+
+Index = NDArray[np.intp]
+
+MISSED = -1
+"""In association histories: the object was not detected at that step."""
+BEFORE = -2
+"""In association histories: the track did not exist yet, or longer ago than is kept."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Mixture:
+    """`pmbm.types.GaussianMixture` without its checks, for use between the steps of the filter.
+
+    log_weight (P,), mean (P,4), cov (P,4,4).
+    """
+
+    log_weight: FloatArray
+    mean: FloatArray
+    cov: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.log_weight)
+
+    def take(self, rows: Any) -> Mixture:
+        return Mixture(self.log_weight[rows], self.mean[rows], self.cov[rows])
+
+    @staticmethod
+    def joined(a: Mixture, b: Mixture) -> Mixture:
+        return Mixture(
+            np.concatenate([a.log_weight, b.log_weight]),
+            np.concatenate([a.mean, b.mean]),
+            np.concatenate([a.cov, b.cov]),
+        )
+
+    @staticmethod
+    def empty() -> Mixture:
+        return Mixture(np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4, 4)))
+
+    def public(self) -> GaussianMixture:
+        return GaussianMixture(log_weight=self.log_weight, mean=self.mean, cov=self.cov)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Locals:
+    """Local (single-object) hypotheses: one Bernoulli a row, H rows, in no particular order.
+
+    track (H,) : row of the track table (`Density.track_id`) that this is a hypothesis about.
+    existence (H,) : r, in [0, 1].
+    mean (H,4), cov (H,4,4) : of [x, y, vx, vy] given that the object exists.
+    box (H,5) : z, length, width, height, yaw of the last detection.
+    label (H,) : int8, of the last detection.
+    history (H,L) : int32, measurement taken at each of the last L steps, MISSED or BEFORE; L is
+        the configuration's `history`.
+    """
+
+    track: Index
+    existence: FloatArray
+    mean: FloatArray
+    cov: FloatArray
+    box: FloatArray
+    label: NDArray[np.int8]
+    history: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def take(self, rows: Any) -> Locals:
+        return Locals(
+            self.track[rows],
+            self.existence[rows],
+            self.mean[rows],
+            self.cov[rows],
+            self.box[rows],
+            self.label[rows],
+            self.history[rows],
+        )
+
+    @staticmethod
+    def joined(*parts: Locals) -> Locals:
+        return Locals(
+            np.concatenate([part.track for part in parts]),
+            np.concatenate([part.existence for part in parts]),
+            np.concatenate([part.mean for part in parts]),
+            np.concatenate([part.cov for part in parts]),
+            np.concatenate([part.box for part in parts]),
+            np.concatenate([part.label for part in parts]),
+            np.concatenate([part.history for part in parts]),
+        )
+
+    @staticmethod
+    def empty(history: int = 0) -> Locals:
+        return Locals(
+            np.zeros(0, np.intp),
+            np.zeros(0),
+            np.zeros((0, 4)),
+            np.zeros((0, 4, 4)),
+            np.zeros((0, 5)),
+            np.zeros(0, np.int8),
+            np.zeros((0, history), np.int32),
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Globals:
+    """Global hypotheses of all clusters: G rows, sorted by cluster; E members in total.
+
+    cluster (G,) : 0 .. C-1, every cluster at least once.
+    log_weight (G,) : the weights of one cluster's rows add up to one.
+    start (G+1,) : row g is made of the local hypotheses member[start[g]:start[g+1]].
+    member (E,) : rows of the local table, at most one of each track; a track that none of them
+        belongs to is absent from that global hypothesis.
+    """
+
+    cluster: Index
+    log_weight: FloatArray
+    start: Index
+    member: Index
+
+    def __len__(self) -> int:
+        return len(self.log_weight)
+
+    @property
+    def clusters(self) -> int:
+        return int(self.cluster[-1]) + 1 if len(self.cluster) else 0
+
+    def row_of_member(self) -> Index:
+        """(E,) the global hypothesis that each member entry belongs to."""
+        return np.repeat(np.arange(len(self.log_weight)), np.diff(self.start))
+
+    @staticmethod
+    def one_empty() -> Globals:
+        """One cluster with one hypothesis: that nothing was detected yet."""
+        return Globals(
+            np.zeros(1, np.intp), np.zeros(1), np.zeros(2, np.intp), np.zeros(0, np.intp)
+        )
+
+    @staticmethod
+    def none() -> Globals:
+        """No cluster at all."""
+        return Globals(
+            np.zeros(0, np.intp), np.zeros(0), np.zeros(1, np.intp), np.zeros(0, np.intp)
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Density:
+    """The PMBM density at one time.
+
+    undetected : the PPP, an intensity over objects that were never detected.
+    local : Bernoullis of detected objects, under every association hypothesis.
+    hypotheses : which Bernoullis hold together, with weights, cluster by cluster.  Clusters are
+        independent: the mixture over the whole scene is the product of theirs.
+    track_id (T,) : int64; a track's id is the running number, over the whole run, of the detection
+        that started it, so it names (time, measurement) and is never used again.
+    detections_seen : how many detections came before; the id of the next one.
+    """
+
+    undetected: Mixture
+    local: Locals
+    hypotheses: Globals
+    track_id: NDArray[np.int64]
+    detections_seen: int = 0
+
+    @staticmethod
+    def initial(undetected: Mixture, *, clustering: bool = True, history: int = 0) -> Density:
+        """Nothing detected yet; `clustering=False` keeps all tracks in one cluster for ever."""
+        return Density(
+            undetected=undetected,
+            local=Locals.empty(history),
+            hypotheses=Globals.none() if clustering else Globals.one_empty(),
+            track_id=np.zeros(0, np.int64),
+        )
+
+    def hypothesis_probability(self) -> FloatArray:
+        """(H,) marginal probability of each local hypothesis: its global hypotheses' weights."""
+        table = self.hypotheses
+        weight = np.repeat(np.exp(table.log_weight), np.diff(table.start))
+        return summed(weight, table.member, len(self.local))
+
+    def choice(self, cluster: int) -> tuple[Index, NDArray[np.int32], FloatArray]:
+        """One cluster as a dense table, to look at: its tracks (J,), choice (G,J) of rows of the
+        local table or ABSENT, and log weights (G,)."""
+        table = self.hypotheses
+        rows = np.flatnonzero(table.cluster == cluster)
+        first, last = table.start[rows[0]], table.start[rows[-1] + 1]
+        member = table.member[first:last]
+        tracks, column = np.unique(self.local.track[member], return_inverse=True)
+        choice = np.full((len(rows), len(tracks)), ABSENT, np.int32)
+        row = np.repeat(np.arange(len(rows)), np.diff(table.start)[rows])
+        choice[row, column] = member
+        return tracks, choice, table.log_weight[rows]
+
+    def with_undetected(self, undetected: Mixture) -> Density:
+        return replace(self, undetected=undetected)
+
+
+def ragged(start: Index, count: Index) -> Index:
+    """start[i], start[i] + 1, ... (count[i] of them) for all i, one after another."""
+    offset = np.cumsum(count) - count
+    return np.arange(int(count.sum())) + np.repeat(start - offset, count)
+
+
+def starts(count: Index) -> Index:
+    """Row starts (N+1,) of a ragged table from the rows' lengths (N,)."""
+    result = np.zeros(len(count) + 1, np.intp)
+    np.cumsum(count, out=result[1:])
+    return result
+
+
+def summed(value: FloatArray, row: Index, rows: int) -> FloatArray:
+    """(rows,) the sum of the values (n,) that belong to each row (n,)."""
+    return np.bincount(row, value, minlength=rows).astype(np.float64, copy=False)

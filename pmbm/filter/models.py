@@ -1,0 +1,138 @@
+"""What the filter believes about the world: how objects move, live, appear and are detected."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from pmbm.filter.density import Mixture
+from pmbm.types import FloatArray, Site
+
+_GOLDEN_ANGLE_SHARE = (math.sqrt(5) - 1) / 2
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Transition:
+    """How a state moves over one interval, and how probably its object lives on.
+
+    F (4,4), Q (4,4) over [x, y, vx, vy]; survival : P_S over the interval.
+    """
+
+    F: FloatArray
+    Q: FloatArray
+    survival: float
+
+
+def constant_velocity(dt: float, spectral_density: float) -> tuple[FloatArray, FloatArray]:
+    """F and Q (4,4) over `dt` seconds of a velocity driven by continuous white noise, m^2/s^3.
+
+    The continuous form, so that predicting over a and then over b is predicting over a + b
+    (Bar-Shalom, Li & Kirubarajan 2001, Sec. 6.2.2).
+    """
+    F = np.eye(4)
+    F[0, 2] = F[1, 3] = dt
+    Q = np.diag([dt**3 / 3, dt**3 / 3, dt, dt])
+    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**2 / 2
+    return F, spectral_density * Q
+
+
+def survival_over(dt: float, survival: float, interval: float) -> float:
+    """P_S over `dt` where it is `survival` over `interval`, both in seconds."""
+    return survival ** (dt / interval)
+
+
+def births_over(dt: float, rate: float, survival: float, interval: float) -> float:
+    """Expected number of objects that appear during `dt` and are alive at its end.
+
+    rate (1 - exp(-mu dt)) / mu with the death rate mu = -ln(P_S) / interval, so that the expected
+    number after many short intervals is that after one long one.
+    """
+    if dt == 0:
+        return 0.0
+    if survival == 0:
+        return 0.0
+    mu = -math.log(survival) / interval
+    return rate * (dt if mu == 0 else -math.expm1(-mu * dt) / mu)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class View:
+    """Where the sensor looks: a sector around its pose (x, y, yaw).
+
+    centre, half_angle : rad, relative to the sensor's yaw; max_range : m.
+    """
+
+    pose: FloatArray
+    centre: float
+    half_angle: float
+    max_range: float
+
+    @staticmethod
+    def of(site: Site, pose: FloatArray) -> View:
+        return View(pose, site.fov_centre, site.fov_half_angle, site.max_range)
+
+    @property
+    def area(self) -> float:
+        """m^2."""
+        return self.half_angle * self.max_range**2
+
+    def share_inside(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
+        """(N,) probability that an object lies inside, for Gaussians (N,4), (N,4,4).
+
+        The sector's edges are taken as straight at the scale of the Gaussian, and the Gaussian as
+        round: a soft edge rather than an exact integral.
+        """
+        dx, dy = mean[:, 0] - self.pose[0], mean[:, 1] - self.pose[1]
+        distance = np.hypot(dx, dy)
+        sd = np.sqrt(np.maximum(cov[:, 0, 0] + cov[:, 1, 1], 1e-12) / 2)
+        share = ndtr((self.max_range - distance) / sd)
+        if self.half_angle < np.pi:
+            bearing = np.arctan2(dy, dx) - self.pose[2] - self.centre
+            off_centre = np.abs(np.mod(bearing + np.pi, 2 * np.pi) - np.pi)
+            share = share * ndtr((self.half_angle - off_centre) * distance / sd)
+        return share
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Sensor:
+    """How detections come about.
+
+    R (2,2) : covariance of a measured position, m^2.
+    detection : P_D of an object in view.
+    clutter : false detections per m^2 and frame.
+    view : None where everything is in view.
+    """
+
+    R: FloatArray
+    detection: float
+    clutter: float
+    view: View | None = None
+
+    def detection_probability(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
+        """(N,) P_D averaged over Gaussians (N,4), (N,4,4)."""
+        if self.view is None:
+            return np.full(len(mean), self.detection)
+        return self.detection * self.view.share_inside(mean, cov)
+
+
+def spread_over(view: View, components: int, speed_sd: float) -> Mixture:
+    """A mixture of weight one that covers the view and its edge about evenly, at any velocity.
+
+    components : how many Gaussians; their centres lie on a sunflower's spiral, which fills any
+        sector evenly.  speed_sd : of each velocity component, m/s.
+    """
+    i = np.arange(components)
+    turn = np.mod(i * _GOLDEN_ANGLE_SHARE, 1.0)
+    angle = view.pose[2] + view.centre + view.half_angle * (2 * turn - 1)
+    radius = view.max_range * np.sqrt((i + 0.5) / components)
+    mean = np.zeros((components, 4))
+    mean[:, 0] = view.pose[0] + radius * np.cos(angle)
+    mean[:, 1] = view.pose[1] + radius * np.sin(angle)
+    variance = 0.25 * view.area / components
+    cov = np.diag([variance, variance, speed_sd**2, speed_sd**2])
+    return Mixture(
+        np.full(components, -math.log(components)), mean, np.tile(cov, (components, 1, 1))
+    )

@@ -1,0 +1,38 @@
+"""Box 1 of 4, PMBM prediction (Pang & Radha 2021, Sec. 2.5)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pmbm.filter.density import Density, Mixture
+from pmbm.filter.models import Transition
+from pmbm.types import FloatArray
+
+
+def predict(density: Density, transition: Transition, birth: Mixture) -> Density:
+    """The density one interval later: detected and undetected objects move on independently, both
+    survive with P_S, and newly born objects join the undetected ones.
+
+    Association hypotheses and their weights stay as they are: prediction tells nothing about them.
+    """
+    with np.errstate(divide="ignore"):
+        log_survival = np.log(transition.survival)
+    ppp, local = density.undetected, density.local
+    survivors = Mixture(ppp.log_weight + log_survival, *_moved(ppp.mean, ppp.cov, transition))
+    mean, cov = _moved(local.mean, local.cov, transition)
+    return replace(
+        density,
+        undetected=Mixture.joined(survivors, birth),
+        local=replace(local, existence=local.existence * transition.survival, mean=mean, cov=cov),
+    )
+
+
+def _moved(
+    mean: FloatArray, cov: FloatArray, transition: Transition
+) -> tuple[FloatArray, FloatArray]:
+    """F m and F P F' + Q.  F P F' of all rows is one matrix product on the flattened P."""
+    F, Q = transition.F, transition.Q
+    moved = (cov.reshape(-1, 16) @ np.kron(F, F).T).reshape(-1, 4, 4) + Q
+    return mean @ F.T, 0.5 * (moved + moved.transpose(0, 2, 1))

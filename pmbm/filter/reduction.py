@@ -1,0 +1,297 @@
+"""Box 4 of 4, reduction: pruning, capping, recycling, merging (Pang & Radha 2021, Sec. 2.7; the
+fifth, gating, is part of the association)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmbm.filter.clusters import split
+from pmbm.filter.density import Density, Globals, Index, Mixture, starts
+from pmbm.filter.gating import near
+from pmbm.filter.gaussian import moments
+from pmbm.filter.update import normalised
+
+_ALIKE = 1.0
+"""Largest difference of log position areas (of log sds, summed) between components that merge."""
+_SPLITMIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
+
+
+@dataclass(frozen=True, slots=True)
+class Reduced:
+    """What a reduction removed: global hypotheses pruned, capped and merged, local hypotheses
+    recycled, and PPP components pruned, merged and capped."""
+
+    hypotheses_pruned: int = 0
+    hypotheses_capped: int = 0
+    hypotheses_merged: int = 0
+    locals_recycled: int = 0
+    tracks_capped: int = 0
+    undetected_pruned: int = 0
+    undetected_merged: int = 0
+    undetected_capped: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The thresholds of the reduction; see `PMBMConfig` for their meaning."""
+
+    prune_hypothesis: float
+    max_hypotheses: int
+    recycle_below: float
+    recycle: bool
+    max_tracks: int
+    prune_undetected: float
+    merge_undetected: float
+    max_undetected: int
+    clustering: bool
+
+
+def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
+    """The density with fewer terms, as near as possible to the given one.
+
+    In this order: unlikely global hypotheses go, the best of the rest stay and share their weight;
+    tracks that hardly exist are moved back into the PPP; hypotheses that are equal without them
+    become one; clusters fall apart; the PPP is pruned and merged.
+    """
+    table = density.hypotheses
+    likely = _likely(table, limits.prune_hypothesis)
+    capped = _best(table, likely, limits.max_hypotheses)
+    pruned = len(table) - int(likely.sum())
+    over = int(likely.sum()) - int(capped.sum())
+    density = replace(density, hypotheses=_keep(table, capped))
+
+    density, recycled, tracks_capped, returned = _recycle(density, limits)
+    before = len(density.hypotheses)
+    density = replace(density, hypotheses=_merge_equal(density.hypotheses))
+    merged = before - len(density.hypotheses)
+    if limits.clustering:
+        density = replace(density, hypotheses=split(density.hypotheses, len(density.local)))
+    density = _compact(density)
+
+    ppp = Mixture.joined(density.undetected, returned)
+    kept = ppp.take(np.flatnonzero(ppp.log_weight > _log(limits.prune_undetected)))
+    joined = merge_mixture(kept, limits.merge_undetected)
+    heaviest = joined
+    if len(joined) > limits.max_undetected:
+        order = np.argsort(-joined.log_weight, kind="stable")[: limits.max_undetected]
+        heaviest = joined.take(np.sort(order))
+    return replace(density, undetected=heaviest), Reduced(
+        pruned,
+        over,
+        merged,
+        recycled,
+        tracks_capped,
+        len(ppp) - len(kept),
+        len(kept) - len(joined),
+        len(joined) - len(heaviest),
+    )
+
+
+def _log(value: float) -> float:
+    return float(np.log(value)) if value > 0 else -np.inf
+
+
+def _likely(table: Globals, threshold: float) -> np.ndarray:
+    """(G,) whether the weight exceeds the threshold; a cluster's best row always stays."""
+    likely = table.log_weight > _log(threshold)
+    if not likely.all():
+        first = np.flatnonzero(np.diff(table.cluster, prepend=-1))
+        top = np.maximum.reduceat(table.log_weight, first)
+        likely |= table.log_weight == top[table.cluster]
+    return likely
+
+
+def _best(table: Globals, likely: np.ndarray, cap: int) -> np.ndarray:
+    """(G,) the `cap` heaviest of the likely rows of each cluster."""
+    rows = np.flatnonzero(likely)
+    count = np.bincount(table.cluster[rows], minlength=table.clusters)
+    if (count <= cap).all():
+        return likely
+    order = rows[np.lexsort((-table.log_weight[rows], table.cluster[rows]))]
+    rank = np.arange(len(order)) - (np.cumsum(count) - count)[table.cluster[order]]
+    best = np.zeros(len(table), bool)
+    best[order[rank < cap]] = True
+    return best
+
+
+def _keep(table: Globals, rows: np.ndarray) -> Globals:
+    """Only the global hypotheses of this mask, their weights normalised again."""
+    if rows.all():
+        return table
+    count = np.diff(table.start)
+    cluster = table.cluster[rows]
+    return Globals(
+        cluster,
+        normalised(table.log_weight[rows], cluster),
+        starts(count[rows]),
+        table.member[np.repeat(rows, count)],
+    )
+
+
+def _recycle(density: Density, limits: Limits) -> tuple[Density, int, int, Mixture]:
+    """Take Bernoullis that hardly exist out of every global hypothesis and into the PPP.
+
+    Each becomes a component of weight r times the weight of the hypotheses that it was part of, so
+    the expected number of objects stays the same.
+    """
+    local, table = density.local, density.hypotheses
+    faint = local.existence < limits.recycle_below
+    tracks = len(density.track_id)
+    capped = 0
+    if len(local) > limits.max_tracks:
+        expected = np.bincount(
+            local.track, density.hypothesis_probability() * local.existence, minlength=tracks
+        )
+        alive = int(np.count_nonzero(np.bincount(local.track, minlength=tracks)))
+        if alive > limits.max_tracks:
+            weakest = np.argsort(-expected, kind="stable")[limits.max_tracks :]
+            surplus = np.zeros(tracks, bool)
+            surplus[weakest] = True
+            capped = int((surplus[local.track] & ~faint).sum())
+            faint = faint | surplus[local.track]
+    leaving = faint[table.member]
+    if not leaving.any():
+        return density, 0, capped, Mixture.empty()
+    count = np.bincount(table.row_of_member()[~leaving], minlength=len(table))
+    emptied = Globals(table.cluster, table.log_weight, starts(count), table.member[~leaving])
+    rows = np.flatnonzero(faint & (density.hypothesis_probability() > 0))
+    returned = Mixture.empty()
+    if limits.recycle:
+        weight = density.hypothesis_probability()[rows] * local.existence[rows]
+        with np.errstate(divide="ignore"):
+            returned = Mixture(np.log(weight), local.mean[rows], local.cov[rows])
+    return replace(density, hypotheses=emptied), len(rows), capped, returned
+
+
+def _merge_equal(table: Globals) -> Globals:
+    """Global hypotheses of one cluster that say the same become one, of their weights' sum.
+
+    Rows are compared by the sum of a 64-bit hash of each of their members.
+    """
+    if len(table) == table.clusters:
+        return table
+    key = table.member.astype(np.uint64) * _SPLITMIX[0]
+    key = (key ^ (key >> np.uint64(30))) * _SPLITMIX[1]
+    key = (key ^ (key >> np.uint64(27))) * _SPLITMIX[2]
+    key ^= key >> np.uint64(31)
+    running = np.zeros(len(key) + 1, np.uint64)
+    np.cumsum(key, out=running[1:])
+    total = running[table.start[1:]] - running[table.start[:-1]]
+    order = np.lexsort((total, table.cluster))
+    new = np.ones(len(order), bool)
+    new[1:] = (np.diff(total[order]) != 0) | (np.diff(table.cluster[order]) != 0)
+    if new.all():
+        return table
+    first = np.flatnonzero(new)
+    kept = order[first]
+    top = np.maximum.reduceat(table.log_weight[order], first)
+    count = np.diff(first, append=len(order))
+    weight = np.exp(table.log_weight[order] - np.repeat(top, count))
+    log_weight = table.log_weight.copy()
+    log_weight[kept] = top + np.log(np.add.reduceat(weight, first))
+    mask = np.zeros(len(table), bool)
+    mask[kept] = True
+    members = np.diff(table.start)
+    return Globals(
+        table.cluster[mask],
+        log_weight[mask],
+        starts(members[mask]),
+        table.member[np.repeat(mask, members)],
+    )
+
+
+def _compact(density: Density) -> Density:
+    """Drop the local hypotheses and tracks that no global hypothesis mentions."""
+    table = density.hypotheses
+    used = np.zeros(len(density.local), bool)
+    used[table.member] = True
+    local = density.local.take(np.flatnonzero(used))
+    renumber = np.cumsum(used) - 1
+    alive = np.zeros(len(density.track_id), bool)
+    alive[local.track] = True
+    track_number = np.cumsum(alive) - 1
+    return replace(
+        density,
+        local=replace(local, track=track_number[local.track]),
+        hypotheses=Globals(table.cluster, table.log_weight, table.start, renumber[table.member]),
+        track_id=density.track_id[alive],
+    )
+
+
+def merge_mixture(mixture: Mixture, threshold: float) -> Mixture:
+    """Merge components that lie together, keeping weight, mean and covariance of their sum.
+
+    Heaviest first, each takes in the lighter ones for which the squared Mahalanobis distance of
+    the means is below `threshold` under either covariance (so a wide component does not swallow
+    narrow ones that happen to lie inside it) and whose position areas are alike within a factor e.
+    """
+    if threshold <= 0 or len(mixture) < 2:
+        return mixture
+    group = _groups(mixture, threshold)
+    order = np.argsort(group, kind="stable")
+    first = np.flatnonzero(np.diff(group[order], prepend=-1))
+    if len(first) == len(mixture):
+        return mixture
+    log_weight = mixture.log_weight[order]
+    count = np.diff(first, append=len(order))
+    top = np.maximum.reduceat(log_weight, first)
+    weight = np.exp(log_weight - np.repeat(top, count))
+    total = np.add.reduceat(weight, first)
+    mean, cov = moments(
+        weight / np.repeat(total, count), mixture.mean[order], mixture.cov[order], first
+    )
+    return Mixture(top + np.log(total), mean, cov)
+
+
+def _groups(mixture: Mixture, threshold: float) -> Index:
+    """(P,) the component, by row, that each one is merged into."""
+    one, other = _close_pairs(mixture, threshold)
+    group = np.arange(len(mixture))
+    if not len(one):
+        return group
+    neighbours: dict[int, list[int]] = {}
+    for i, j in zip(one.tolist(), other.tolist(), strict=True):
+        neighbours.setdefault(i, []).append(j)
+    free = np.ones(len(mixture), bool)
+    involved = np.fromiter(neighbours, np.intp)
+    heaviest_first = involved[np.argsort(-mixture.log_weight[involved], kind="stable")]
+    for head in heaviest_first.tolist():
+        if free[head]:
+            free[head] = False
+            taken = [j for j in neighbours[head] if free[j]]
+            free[taken] = False
+            group[taken] = head
+    return group
+
+
+def _close_pairs(mixture: Mixture, threshold: float) -> tuple[Index, Index]:
+    """Ordered pairs, both ways round, of components that may be merged."""
+    cov = mixture.cov
+    area = 0.5 * np.log(
+        np.maximum(cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] ** 2, np.finfo(float).tiny)
+    )
+    radius = np.sqrt(threshold * (cov[:, 0, 0] + cov[:, 1, 1]))
+    # Only components of similar size merge, so each run of sizes without a gap is on its own.
+    by_size = np.argsort(area, kind="stable")
+    runs = np.split(by_size, np.flatnonzero(np.diff(area[by_size]) > _ALIKE) + 1)
+    ones, others = [], []
+    for run in runs:
+        if len(run) > 1:
+            i, j = near(mixture.mean[run, :2], radius[run], mixture.mean[run, :2])
+            ones.append(run[i])
+            others.append(run[j])
+    if not ones:
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    one, other = np.concatenate(ones), np.concatenate(others)
+    fits = (one != other) & (np.abs(area[one] - area[other]) <= _ALIKE)
+    one, other = one[fits], other[fits]
+    apart = mixture.mean[other] - mixture.mean[one]
+    d2 = np.einsum("ni,ni->n", apart, np.linalg.solve(cov[one], apart[:, :, None])[:, :, 0])
+    close = d2 < threshold
+    # Below the threshold under either covariance: the pair must be there both ways round.
+    both = set(zip(one[close].tolist(), other[close].tolist(), strict=True))
+    mutual = [(i, j) for i, j in both if (j, i) in both]
+    table = np.array(sorted(mutual), np.intp).reshape(-1, 2)
+    return table[:, 0], table[:, 1]

@@ -1,0 +1,141 @@
+"""The PMBM tracker: predict, associate, update, reduce (Pang & Radha 2021, Fig. 2)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pmbm.errors import InputError
+from pmbm.filter.association import associate
+from pmbm.filter.config import PMBMConfig
+from pmbm.filter.density import Density, Mixture
+from pmbm.filter.estimation import marginals
+from pmbm.filter.models import (
+    Sensor,
+    Transition,
+    View,
+    births_over,
+    constant_velocity,
+    spread_over,
+    survival_over,
+)
+from pmbm.filter.prediction import predict
+from pmbm.filter.reduction import Limits, Reduced, reduce
+from pmbm.filter.update import Scan, update
+from pmbm.types import Detections, Site, Tracks
+
+
+class PMBMTracker:
+    """Follows an unknown number of objects through noisy, cluttered, incomplete detections.
+
+    config : what it assumes; site : what the sensor can see (default: 100 m all round).
+
+    Example
+    -------
+    >>> tracker = PMBMTracker(PMBMConfig(detection_probability=0.95))
+    >>> tracks = tracker.step(Detections.empty(time=0.0))
+    >>> len(tracks)
+    0
+    """
+
+    def __init__(self, config: PMBMConfig | None = None, site: Site | None = None) -> None:
+        self.config = config if config is not None else PMBMConfig()
+        self.site = site if site is not None else Site()
+        self.density: Density | None = None
+        self.reduced = Reduced()
+        self._time = math.nan
+
+    def step(self, detections: Detections, /) -> Tracks:
+        """Take in one frame, empty or not, and report the objects that probably exist.
+
+        Frames come in order of time; two of one time are two looks at the same moment.
+
+        Raises InputError, the tracker unchanged, where time runs backwards.
+        """
+        config = self.config
+        view = View.of(self.site, detections.sensor_pose)
+        sensor = self._sensor(view)
+        scan = _scan(detections)
+        if self.density is None:
+            predicted = Density.initial(
+                self._spread(view, config.initial_objects),
+                clustering=config.clustering,
+                history=config.history,
+            )
+        else:
+            dt = self._elapsed(detections.time)
+            predicted = predict(self.density, self._transition(dt), self._births(view, dt))
+        association = associate(
+            predicted,
+            scan.position,
+            sensor,
+            gate_threshold=config.gate,
+            max_hypotheses=config.max_hypotheses,
+            clustering=config.clustering,
+        )
+        updated = update(predicted, scan, association, sensor)
+        self.density, self.reduced = reduce(updated, self._limits())
+        self._time = detections.time
+        return self._report(self.density)
+
+    def _elapsed(self, time: float) -> float:
+        if time < self._time:
+            raise InputError(
+                "detections out of order", field="time", expected=f">= {self._time:g}", got=time
+            )
+        return time - self._time
+
+    def _transition(self, dt: float) -> Transition:
+        config = self.config
+        F, Q = constant_velocity(dt, config.spectral_density)
+        return Transition(F, Q, survival_over(dt, config.survival, config.survival_interval))
+
+    def _births(self, view: View, dt: float) -> Mixture:
+        config = self.config
+        expected = births_over(dt, config.birth_rate, config.survival, config.survival_interval)
+        return self._spread(view, expected)
+
+    def _spread(self, view: View, expected: float) -> Mixture:
+        if expected == 0:
+            return Mixture.empty()
+        shape = spread_over(view, self.config.birth_components, self.config.birth_speed_sd)
+        return Mixture(shape.log_weight + math.log(expected), shape.mean, shape.cov)
+
+    def _sensor(self, view: View) -> Sensor:
+        config = self.config
+        return Sensor(
+            R=config.measurement_sd**2 * np.eye(2),
+            detection=config.detection_probability,
+            clutter=config.clutter_rate / view.area,
+            view=view,
+        )
+
+    def _limits(self) -> Limits:
+        config = self.config
+        return Limits(**{name: getattr(config, name) for name in Limits.__slots__})
+
+    def _report(self, density: Density) -> Tracks:
+        marginal = marginals(density)
+        reported = np.flatnonzero(marginal.existence > self.config.report_above)
+        local = density.local.take(marginal.best[reported])
+        return Tracks(
+            time=self._time,
+            id=density.track_id[reported],
+            position=np.column_stack([local.mean[:, :2], local.box[:, 0]]),
+            size=local.box[:, 1:4],
+            yaw=local.box[:, 4],
+            velocity=local.mean[:, 2:],
+            score=marginal.existence[reported],
+            label=local.label,
+            covariance=local.cov,
+            undetected=density.undetected.public(),
+        )
+
+
+def _scan(detections: Detections) -> Scan:
+    return Scan(
+        position=detections.position[:, :2],
+        box=np.column_stack([detections.position[:, 2], detections.size, detections.yaw]),
+        label=detections.label,
+    )

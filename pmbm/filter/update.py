@@ -1,0 +1,214 @@
+"""Box 3 of 4, the PMBM update (Pang & Radha 2021, Sec. 2.6; Williams 2015, Sec. IV).
+
+case                          existence                   state
+undetected, PPP component     w <- (1 - P_D) w            unchanged
+first detection by z          e / (lambda_c + e)          moment-matched Kalman updates
+known track, missed           r (1 - P_D) / (1 - r P_D)   unchanged
+known track, detected         1                           Kalman update
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmbm.filter.association import Association
+from pmbm.filter.density import (
+    BEFORE,
+    MISSED,
+    Density,
+    Globals,
+    Index,
+    Locals,
+    Mixture,
+    ragged,
+    starts,
+)
+from pmbm.filter.gaussian import Innovation, corrected_cov, corrected_mean, gain, moments
+from pmbm.filter.models import Sensor
+from pmbm.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scan:
+    """The measurements of one frame.
+
+    position (M,2); box (M,5) : z, length, width, height, yaw; label (M,) int8.
+    """
+
+    position: FloatArray
+    box: FloatArray
+    label: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+def update(density: Density, scan: Scan, association: Association, sensor: Sensor) -> Density:
+    """The density given the scan: Bayes' rule under every association hypothesis."""
+    H, n = len(density.local), len(association.known.row)
+    table = _hypotheses(association, H)
+    # Candidates: a missed version of every local hypothesis, a detected one of every pair, and a
+    # new track of every measurement.  Those that no hypothesis uses are not worked out.
+    used = np.zeros(H + n + len(scan), bool)
+    used[table.member] = True
+    renumber = np.cumsum(used) - 1
+    local = Locals.joined(
+        _missed(density.local, association, np.flatnonzero(used[:H])),
+        _detected(density.local, scan, association, sensor, np.flatnonzero(used[H : H + n])),
+        _first_detected(density, scan, association, sensor, np.flatnonzero(used[H + n :])),
+    )
+    return Density(
+        undetected=_still_undetected(density.undetected, association.detection_undetected),
+        local=local,
+        hypotheses=Globals(table.cluster, table.log_weight, table.start, renumber[table.member]),
+        track_id=np.concatenate([density.track_id, density.detections_seen + np.arange(len(scan))]),
+        detections_seen=density.detections_seen + len(scan),
+    )
+
+
+def _hypotheses(association: Association, H: int) -> Globals:
+    """The children as global hypotheses over the candidates: rows 0..H-1 missed, then the pairs,
+    then the new tracks; weights of each cluster add up to one."""
+    parents, children = association.parents, association.children
+    n = len(association.known.row)
+    members = np.diff(parents.start)[children.parent]
+    first_member = starts(members)
+    candidate = parents.member[ragged(parents.start[children.parent], members)]
+    where = (
+        first_member[children.taker]
+        + children.entry
+        - parents.start[children.parent[children.taker]]
+    )
+    candidate[where] = H + children.pair
+
+    # Measurements of the child's cluster, minus those that a member takes.
+    by_cluster = np.argsort(association.cluster, kind="stable")
+    in_cluster = np.bincount(association.cluster, minlength=parents.clusters)
+    first_of_cluster = np.cumsum(in_cluster) - in_cluster
+    rank = np.empty(len(by_cluster), np.intp)
+    rank[by_cluster] = (
+        np.arange(len(by_cluster)) - first_of_cluster[association.cluster[by_cluster]]
+    )
+    cluster = parents.cluster[children.parent]
+    free = in_cluster[cluster]
+    first_free = starts(free)
+    measurement = by_cluster[ragged(first_of_cluster[cluster], free)]
+    unclaimed = np.ones(len(measurement), bool)
+    unclaimed[first_free[children.taker] + rank[association.known.measurement[children.pair]]] = (
+        False
+    )
+    child = np.concatenate(
+        [
+            np.repeat(np.arange(len(members)), members),
+            np.repeat(np.arange(len(free)), free)[unclaimed],
+        ]
+    )
+    order = np.argsort(child, kind="stable")
+    member = np.concatenate([candidate, H + n + measurement[unclaimed]])[order]
+    return Globals(
+        cluster,
+        normalised(children.log_weight, cluster),
+        starts(np.bincount(child, minlength=len(members))),
+        member,
+    )
+
+
+def normalised(log_weight: FloatArray, cluster: Index) -> FloatArray:
+    """Log weights (G,) that add up to one within each cluster (G,), sorted."""
+    if not len(log_weight):
+        return log_weight
+    first = np.flatnonzero(np.diff(cluster, prepend=-1))
+    count = np.diff(first, append=len(cluster))
+    top = np.repeat(np.maximum.reduceat(log_weight, first), count)
+    total = np.add.reduceat(np.exp(log_weight - top), first)
+    return log_weight - top - np.repeat(np.log(total), count)
+
+
+def _still_undetected(ppp: Mixture, detection: FloatArray) -> Mixture:
+    with np.errstate(divide="ignore"):
+        return Mixture(ppp.log_weight + np.log1p(-detection), ppp.mean, ppp.cov)
+
+
+def _missed(local: Locals, association: Association, rows: Index) -> Locals:
+    kept = local.take(rows)
+    P_D = association.detection[rows]
+    r = kept.existence
+    # A missed object of r P_D = 1 is impossible; its weight says so, and its r stays a number.
+    missed = np.where(r * P_D < 1, r * (1 - P_D) / np.where(r * P_D < 1, 1 - r * P_D, 1.0), 0.0)
+    return Locals(
+        kept.track,
+        missed,
+        kept.mean,
+        kept.cov,
+        kept.box,
+        kept.label,
+        _remember(kept.history, np.full(len(rows), MISSED)),
+    )
+
+
+def _detected(
+    local: Locals, scan: Scan, association: Association, sensor: Sensor, pairs: Index
+) -> Locals:
+    known = association.known
+    row, measurement = known.row[pairs], known.measurement[pairs]
+    mean, cov = local.mean[row], local.cov[row]
+    innovation = Innovation.of(mean, cov, sensor.R)
+    W = gain(cov, innovation)
+    return Locals(
+        local.track[row],
+        np.ones(len(pairs)),
+        corrected_mean(mean, W, known.y[pairs]),
+        corrected_cov(cov, W, sensor.R, innovation),
+        scan.box[measurement],
+        scan.label[measurement],
+        _remember(local.history[row], measurement),
+    )
+
+
+def _first_detected(
+    density: Density, scan: Scan, association: Association, sensor: Sensor, measurements: Index
+) -> Locals:
+    """A Bernoulli for each measurement: the object that it may be the first detection of.
+
+    Its state is the fused distribution over the gated PPP components, weighted by w P_D N(z).
+    Where no component is in the gate, r = 0 and the state says where the measurement was.
+    """
+    ppp, pairs = density.undetected, association.undetected
+    M = len(scan)
+    mean = np.zeros((M, 4))
+    mean[:, :2] = scan.position
+    cov = np.zeros((M, 4, 4))
+    cov[:, :2, :2] = cov[:, 2:, 2:] = sensor.R
+    if len(pairs.row):
+        innovation = Innovation.of(ppp.mean, ppp.cov, sensor.R)
+        W = gain(ppp.cov, innovation)
+        after = corrected_cov(ppp.cov, W, sensor.R, innovation)
+        share = np.exp(pairs.log_weight - association.log_first[pairs.measurement])
+        first = np.flatnonzero(np.diff(pairs.measurement, prepend=-1))
+        seen = pairs.measurement[first]
+        mean[seen], cov[seen] = moments(
+            share,
+            corrected_mean(ppp.mean[pairs.row], W[pairs.row], pairs.y),
+            after[pairs.row],
+            first,
+        )
+    existence = np.exp(association.log_first - association.log_new)[measurements]
+    L = density.local.history.shape[1]
+    return Locals(
+        len(density.track_id) + measurements,
+        existence,
+        mean[measurements],
+        cov[measurements],
+        scan.box[measurements],
+        scan.label[measurements],
+        _remember(np.full((len(measurements), L), BEFORE, np.int32), measurements),
+    )
+
+
+def _remember(history: np.ndarray, measurement: Index) -> np.ndarray:
+    """The history one step on, the oldest entry forgotten."""
+    if not history.shape[1]:
+        return history
+    return np.concatenate([history[:, 1:], measurement[:, None].astype(np.int32)], axis=1)
