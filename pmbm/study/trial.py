@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from pmbm.errors import InputError, nearest_hint
+from pmbm.metrics import evaluate
 from pmbm.tracking import TrackerFactory, make_tracker, run, tracker_factory
 from pmbm.types import FloatArray, Recording, TrackSequence
 
@@ -88,37 +88,26 @@ def run_trial(
     Raises InputError for an unknown tracker or metric.
     """
     recording = source.record(seed, trial)
-    measure = metrics if callable(metrics) else _chosen(metrics)
     scores, times = {}, {}
     for name, tracker in trackers.items():
-        factory = tracker_factory(tracker) if isinstance(tracker, str) else tracker
-        tracks = run(make_tracker(factory, recording.site), recording)
-        scores[name] = {key: _number(value) for key, value in measure(recording, tracks).items()}
-        times[name] = StepTime.of(tracks.seconds)
+        scores[name], times[name] = score_tracker(recording, tracker, metrics)
     return _make_result(source.name, seed, trial, recording.digest(), scores, times)
 
 
-def _chosen(names: Sequence[str] | None) -> Metrics:
-    from pmbm.metrics import evaluate
-
-    def measure(recording: Recording, tracks: TrackSequence) -> Mapping[str, float | None]:
-        scalars = evaluate(recording, tracks).scalars()
-        if names is None:
-            return scalars
-        for name in names:
-            if name not in scalars:
-                raise InputError(
-                    f"no metric '{name}'",
-                    field="metrics",
-                    hint=nearest_hint(name, scalars, "metric"),
-                )
-        return {name: scalars[name] for name in names}
-
-    return measure
-
-
-def _number(value: float | None) -> float | None:
-    return None if value is None else float(value)
+def score_tracker(
+    recording: Recording,
+    tracker: TrackerFactory | str,
+    metrics: Sequence[str] | Metrics | None = None,
+) -> tuple[dict[str, float | None], StepTime]:
+    """The scores of a fresh tracker over a recording, and what its steps cost."""
+    factory = tracker_factory(tracker) if isinstance(tracker, str) else tracker
+    tracks = run(make_tracker(factory, recording.site), recording)
+    if callable(metrics):
+        given = metrics(recording, tracks)
+    else:
+        given = evaluate(recording, tracks, metrics).scalars()
+    scores = {key: None if value is None else float(value) for key, value in given.items()}
+    return scores, StepTime.of(tracks.seconds)
 
 
 def _make_result(

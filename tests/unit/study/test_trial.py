@@ -45,6 +45,16 @@ def test_a_trial_scores_every_tracker_on_one_recording():
     assert all(time.mean > 0 and time.p99 >= time.median for time in found.time.values())
 
 
+def test_metrics_by_name_and_in_full():
+    found = run_trial(Convoy(), {"echo": Echo}, seed=5, metrics=["ospa", "mota"])
+    assert list(found.scores["echo"]) == ["ospa", "mota"]
+    assert found.scores["echo"]["mota"] == 1.0
+    everything = run_trial(Convoy(), {"echo": Echo}, seed=5)
+    assert {"gospa", "id_switches", "hota"} < set(everything.scores["echo"])
+    with pytest.raises(InputError, match="did you mean 'ospa'"):
+        run_trial(Convoy(), {"echo": Echo}, seed=5, metrics=["opsa"])
+
+
 def test_a_result_is_frozen_and_travels():
     found = run_trial(Convoy(), TRACKERS, seed=5, metrics=toy_scores)
     with pytest.raises(TypeError):
