@@ -172,7 +172,8 @@ def _merge_equal(table: Globals) -> Globals:
     """
     if len(table) == table.clusters:
         return table
-    key = table.member.astype(np.uint64) * _SPLITMIX[0]
+    # One is added, since zero hashes to zero and would look like an absent member.
+    key = (table.member + 1).astype(np.uint64) * _SPLITMIX[0]
     key = (key ^ (key >> np.uint64(30))) * _SPLITMIX[1]
     key = (key ^ (key >> np.uint64(27))) * _SPLITMIX[2]
     key ^= key >> np.uint64(31)
