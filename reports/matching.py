@@ -1,0 +1,30 @@
+"""Which object each track stands for in one frame, to mark what is missed and what is false."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from pmbm.geometry import centre_distance
+from pmbm.types import GroundTruth, Tracks
+
+MISS_DISTANCE = 4.0
+"""m; GOSPA's cut-off, so that the marks agree with its missed and false parts."""
+
+BoolPair = tuple[NDArray[np.bool_], NDArray[np.bool_]]
+
+
+def matched(truth: GroundTruth, tracks: Tracks) -> BoolPair:
+    """Tracks (K,) that stand for an object, and objects (N,) that a track stands for.
+
+    The assignment is GOSPA's (Rahmathullah, Garcia-Fernandez, Svensson, FUSION 2017) with cut-off
+    4 m and p = 2, over all objects, observable or not: a track on a hidden object is not false.
+    """
+    distance = centre_distance(tracks.position[:, :2], truth.position[:, :2])
+    rows, columns = linear_sum_assignment(np.minimum(distance, MISS_DISTANCE) ** 2)
+    near = distance[rows, columns] < MISS_DISTANCE
+    is_track, is_object = np.zeros(len(tracks), np.bool_), np.zeros(len(truth), np.bool_)
+    is_track[rows[near]] = True
+    is_object[columns[near]] = True
+    return is_track, is_object

@@ -1,0 +1,216 @@
+"""Estimates as the words and bars of a table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from pmbm.errors import InputError
+from pmbm.metrics.catalogue import definition
+
+if TYPE_CHECKING:
+    from pmbm.study import Estimate, Summary
+
+MAIN_METRICS = (
+    "gospa",
+    "gospa_localisation",
+    "gospa_missed",
+    "gospa_false",
+    "ospa",
+    "mota",
+    "idf1",
+    "hota",
+    "id_switches",
+    "false_positives",
+    "misses",
+)
+"""The rows shown first; the others are one click away."""
+
+Verdict = Literal["better", "worse", "tie"]
+
+_ACRONYMS = {"gospa", "ospa", "mota", "motp", "idf1", "hota", "deta", "assa", "loca", "nees", "id"}
+_ACRONYMS |= {"anees", "tgospa"}
+_SPELT = {"ospa2": "OSPA(2)", "deta": "DetA", "assa": "AssA", "loca": "LocA"}
+_ARROWS = {"lower": "↓", "higher": "↑", "none": ""}
+_MIDDLE, _REACH = 75.0, 68.0
+"""Of the bar's picture: where zero is, and how far bars reach to either side."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric as it is shown: name for people, unit, direction, and the question it answers."""
+
+    key: str
+    name: str
+    unit: str
+    arrow: str
+    answers: str
+
+    @property
+    def sign(self) -> int:
+        """+1 where higher is better, -1 where lower is, 0 where neither."""
+        return {"↑": 1, "↓": -1}.get(self.arrow, 0)
+
+
+@dataclass(frozen=True)
+class Text:
+    """An estimate in words: mean, half-width of its interval or "", standard error and count."""
+
+    mean: str
+    half: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A paired difference's interval about zero, in the picture's units."""
+
+    at: float
+    low: float
+    high: float
+    span: bool
+    verdict: Verdict
+    label: str
+
+
+@dataclass(frozen=True)
+class Difference:
+    text: Text
+    bar: Bar
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line: an estimate per tracker, a difference per tracker that is compared."""
+
+    name: str
+    unit: str
+    arrow: str
+    answers: str
+    cells: tuple[Text | None, ...]
+    differences: tuple[Difference | None, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    trackers: tuple[str, ...]
+    compared: tuple[str, ...]
+    reference: str
+    rows: tuple[Row, ...]
+
+
+def shown_metric(key: str) -> Metric:
+    """How a metric is shown; one that the catalogue does not know is shown by its key."""
+    try:
+        entry = definition(key)
+    except InputError:
+        return Metric(key, key, "", "", "")
+    base = key.removesuffix("_observable")
+    words = [
+        _SPELT.get(word, word.upper() if word in _ACRONYMS else word) for word in base.split("_")
+    ]
+    name = " ".join(words) + (", observable" if base != key else "")
+    unit = {"1": "", "m^p": "m²"}.get(entry.unit, entry.unit)
+    return Metric(key, name, unit, _ARROWS[entry.direction], entry.answers)
+
+
+def metric_tables(summary: Summary) -> tuple[Table, Table | None]:
+    """The main rows, and the rest (None where there are none)."""
+    main = [key for key in MAIN_METRICS if key in summary.metrics]
+    if not main:
+        return _table(summary, summary.metrics), None
+    rest = [key for key in summary.metrics if key not in main]
+    return _table(summary, main), _table(summary, rest) if rest else None
+
+
+def _table(summary: Summary, metrics: Iterable[str]) -> Table:
+    compared = tuple(summary.differences)
+    return Table(
+        trackers=summary.trackers,
+        compared=compared,
+        reference=summary.reference,
+        rows=tuple(metric_row(summary, key) for key in metrics),
+    )
+
+
+def metric_row(summary: Summary, key: str, name: str | None = None) -> Row:
+    """One metric's line; `name` stands in its first column instead of the metric's own."""
+    metric = shown_metric(key)
+    estimates = [summary.estimates[tracker].get(key) for tracker in summary.trackers]
+    differences = [summary.differences[tracker].get(key) for tracker in summary.differences]
+    return Row(
+        name=name or metric.name,
+        unit=metric.unit,
+        arrow=metric.arrow,
+        answers=metric.answers,
+        cells=tuple(words(estimate, summary.trials) for estimate in estimates),
+        differences=tuple(difference(value, metric, summary.trials) for value in differences),
+    )
+
+
+def words(estimate: Estimate | None, trials: int, *, signed: bool = False) -> Text | None:
+    """Mean and half-width, both to the half-width's second digit; None where undefined."""
+    if estimate is None or estimate.mean is None:
+        return None
+    mean = estimate.mean
+    if estimate.sem is None or estimate.high is None:
+        text = f"{mean:.4g}"
+        return Text(_signed(text, signed), "", "" if trials == 1 else f"n {estimate.n}")
+    half = estimate.high - mean
+    digits = _digits(half, mean)
+    detail = f"sem {_plain(estimate.sem, digits + 1)}"
+    if estimate.n != trials:
+        detail += f" · n {estimate.n}"
+    return Text(_signed(f"{mean:.{digits}f}", signed), f"{half:.{digits}f}", detail)
+
+
+def difference(value: Estimate | None, metric: Metric, trials: int) -> Difference | None:
+    """A paired difference in words and as a bar about zero."""
+    text = words(value, trials, signed=True)
+    if value is None or text is None or value.mean is None:
+        return None
+    low = value.mean if value.low is None else value.low
+    high = value.mean if value.high is None else value.high
+    reach = max(abs(low), abs(high), 1e-300)
+    verdict = judge(value, metric.sign)
+    at, left, right = (round(_MIDDLE + _REACH * v / reach, 1) for v in (value.mean, low, high))
+    label = f"{metric.name}: difference {text.mean}"
+    if text.half:
+        label += f" ± {text.half} ({verdict if verdict != 'tie' else 'no clear difference'})"
+    return Difference(text, Bar(at, left, right, value.low is not None, verdict, label))
+
+
+def judge(value: Estimate, sign: int) -> Verdict:
+    """What a paired difference shows: better or worse only where its interval excludes 0."""
+    if sign == 0 or value.low is None or value.high is None or value.low <= 0 <= value.high:
+        return "tie"
+    return "better" if sign * value.low > 0 else "worse"
+
+
+def _digits(half: float, mean: float) -> int:
+    scale = half if half > 0 else abs(mean) / 100
+    return min(6, max(0, 1 - math.floor(math.log10(scale)))) if scale > 0 else 0
+
+
+def _plain(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}"
+
+
+def _signed(text: str, signed: bool) -> str:
+    if signed and not text.startswith("-") and float(text) != 0:
+        text = f"+{text}"
+    return text.replace("-", "−")
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table; bars in cells are escaped."""
+    lines = [header, ["---", *["--:"] * (len(header) - 1)], *rows]
+    return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines)
+
+
+def _cell(text: str) -> str:
+    for character, escaped in (("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ("|", "\\|")):
+        text = text.replace(character, escaped)
+    return " ".join(text.split())

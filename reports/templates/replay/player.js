@@ -1,0 +1,442 @@
+// One replay: the state, what changes it, and what shows it.
+
+const LAYERS_OFF_AT_FIRST = new Set(["uncertainty", "identity"]);
+
+class Player {
+  constructor(root, data, colours) {
+    Object.assign(this, { root, data, colours });
+    this.find = (selector) => root.querySelector(selector);
+    this.camera = new Camera();
+    this.state = {
+      frame: data.start,
+      tracker: 0,
+      compare: false,
+      playing: false,
+      speed: 1,
+      follow: this.travels() ? "sensor" : "none",
+      layers: new Set(),
+      region: null,
+      hover: null,
+      measuring: false,
+    };
+    this.plots = new Plots(this.find(".plots canvas"), data, colours);
+    this.prepareLayers();
+    this.buildStages();
+    this.listen();
+    new ResizeObserver(() => this.resize()).observe(this.find(".stages"));
+    this.atHome = true;
+    this.resize();
+    root.classList.add("ready");
+    root.player = this;
+  }
+
+  // Whether the sensor drives: then the picture goes along.
+  travels() {
+    const { poses } = this.data;
+    const last = poses.rows - 1;
+    return last > 0 && Math.hypot(poses.x[last] - poses.x[0], poses.y[last] - poses.y[0]) > 25;
+  }
+
+  prepareLayers() {
+    const { data } = this;
+    const possible = {
+      undetected: data.trackers.some((t) => t.undetected),
+      uncertainty: data.trackers.some((t) => t.sx),
+      site: data.site.drivable || data.site.occluders.length,
+    };
+    for (const button of this.root.querySelectorAll("[data-layer]")) {
+      const layer = button.dataset.layer;
+      if (layer in possible && !possible[layer]) button.remove();
+      else if (!LAYERS_OFF_AT_FIRST.has(layer)) this.state.layers.add(layer);
+      button.setAttribute("aria-pressed", this.state.layers.has(layer));
+    }
+    if (!possible.undetected) this.find("[data-do=measure]").remove();
+  }
+
+  buildStages() {
+    const { data, state } = this;
+    const shown = state.compare ? data.trackers.map((_, i) => i) : [Math.min(state.tracker, data.trackers.length - 1)];
+    const stages = this.find(".stages");
+    stages.replaceChildren();
+    stages.dataset.count = shown.length;
+    this.views = shown.map((tracker) => {
+      const stage = element("div", "stage");
+      const canvas = element("canvas");
+      canvas.setAttribute("role", "img");
+      const name = data.trackers[tracker]?.name ?? "no tracker";
+      canvas.setAttribute("aria-label", `Traffic from above, with the tracks of ${name}`);
+      stage.append(canvas);
+      const caption = element("div", "caption");
+      stage.append(caption);
+      stages.append(stage);
+      this.point(canvas, tracker);
+      return { tracker, canvas, caption, scene: new Scene(canvas, this.camera, data, this.colours) };
+    });
+  }
+
+  listen() {
+    const { root, state } = this;
+    root.addEventListener("click", (event) => {
+      const button = event.target.closest("button");
+      if (!button) return;
+      if (button.dataset.do) this.act(button.dataset.do);
+      if (button.dataset.layer) this.toggleLayer(button.dataset.layer);
+      if (button.dataset.tracker) this.choose(button.dataset.tracker);
+    });
+    this.slider = this.find("input[type=range]");
+    this.slider.max = this.data.frames - 1;
+    this.slider.addEventListener("input", () => this.seek(Number(this.slider.value)));
+    this.find("select").addEventListener("change", (e) => (state.speed = Number(e.target.value)));
+    root.addEventListener("keydown", (event) => this.key(event));
+    const canvas = this.plots.canvas;
+    const scrub = (event) => {
+      if (event.type === "pointerdown") canvas.setPointerCapture(event.pointerId);
+      if (event.buttons) this.seek(this.plots.frameAt(event.offsetX));
+    };
+    canvas.addEventListener("pointerdown", scrub);
+    canvas.addEventListener("pointermove", scrub);
+  }
+
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const typing = event.target.matches("select, input[type=range]");
+    const big = event.shiftKey ? 10 : 1;
+    const keys = {
+      " ": () => this.act("play"),
+      ArrowRight: () => this.step(big),
+      ArrowLeft: () => this.step(-big),
+      Home: () => this.seek(0),
+      End: () => this.seek(this.data.frames - 1),
+      "+": () => this.act("in"),
+      "=": () => this.act("in"),
+      "-": () => this.act("out"),
+      0: () => this.home(),
+      f: () => this.act("follow"),
+      w: () => this.act("worst"),
+      c: () => this.data.trackers.length > 1 && this.choose("compare"),
+    };
+    const digit = Number(event.key);
+    const act = keys[event.key] ?? (digit >= 1 && digit <= this.data.trackers.length ? () => this.choose(digit - 1) : null);
+    if (!act || (typing && event.key.startsWith("Arrow")) || (event.key === " " && event.target.matches("button"))) return;
+    event.preventDefault();
+    act();
+  }
+
+  act(what) {
+    const { camera, state } = this;
+    const middle = [camera.width / 2, camera.height / 2];
+    const acts = {
+      play: () => this.play(!state.playing),
+      back: () => this.step(-1),
+      forward: () => this.step(1),
+      in: () => this.zoom(1.3, ...middle),
+      out: () => this.zoom(1 / 1.3, ...middle),
+      home: () => this.home(),
+      follow: () => this.follow(),
+      worst: () => this.seek(this.worstFrame()),
+      measure: () => this.measure(!state.measuring),
+    };
+    acts[what]();
+    this.refresh();
+  }
+
+  follow() {
+    const { state, camera, data } = this;
+    state.follow = state.follow === "sensor" ? "none" : "sensor";
+    this.offset = [camera.x - data.poses.x[state.frame], camera.y - data.poses.y[state.frame]];
+  }
+
+  measure(on) {
+    this.state.measuring = on;
+    if (!on) this.state.region = null;
+    this.find("[data-do=measure]").setAttribute("aria-pressed", on);
+    this.find(".stages").classList.toggle("measuring", on);
+  }
+
+  toggleLayer(layer) {
+    const { layers } = this.state;
+    if (!layers.delete(layer)) layers.add(layer);
+    this.find(`[data-layer=${layer}]`).setAttribute("aria-pressed", layers.has(layer));
+    this.refresh();
+  }
+
+  choose(which) {
+    const { state } = this;
+    const wasComparing = state.compare;
+    state.compare = which === "compare";
+    if (!state.compare) state.tracker = Number(which);
+    if (state.compare || wasComparing || this.views[0].tracker !== state.tracker) {
+      this.buildStages();
+      this.resize();
+    }
+    for (const button of this.root.querySelectorAll("[data-tracker]")) {
+      const on = button.dataset.tracker === (state.compare ? "compare" : String(state.tracker));
+      button.setAttribute("aria-pressed", on);
+    }
+    this.refresh();
+  }
+
+  // The frame where the shown tracker's GOSPA is largest.
+  worstFrame() {
+    const tracker = this.data.trackers[this.state.tracker];
+    const values = tracker?.series.gospa ?? [];
+    const at = values.reduce((best, v, i) => (v > (values[best] ?? -1) ? i : best), 0);
+    return tracker?.steps[at] ?? 0;
+  }
+
+  play(on) {
+    const { state, data } = this;
+    state.playing = on;
+    const button = this.find("[data-do=play]");
+    button.setAttribute("aria-label", on ? "Pause" : "Play");
+    button.classList.toggle("playing", on);
+    if (!on) return;
+    if (state.frame === data.frames - 1) this.seek(0);
+    let clock = data.times[state.frame];
+    let last = performance.now();
+    const tick = (now) => {
+      if (!state.playing) return;
+      if (this.jumped) [clock, this.jumped] = [data.times[state.frame], false];
+      clock += ((now - last) / 1000) * state.speed;
+      last = now;
+      let frame = state.frame;
+      while (frame < data.frames - 1 && data.times[frame + 1] <= clock) frame++;
+      if (frame !== state.frame) this.show(frame);
+      if (frame === data.frames - 1) this.play(false);
+      else requestAnimationFrame(tick);
+    };
+    requestAnimationFrame(tick);
+  }
+
+  step(by) {
+    this.play(false);
+    this.seek(this.state.frame + by);
+  }
+
+  seek(frame) {
+    this.jumped = true;
+    this.show(Math.min(this.data.frames - 1, Math.max(0, frame)));
+  }
+
+  show(frame) {
+    this.state.frame = frame;
+    this.state.hover = null;
+    this.find(".tip").hidden = true;
+    this.refresh();
+  }
+
+  zoom(factor, px, py) {
+    const { camera, state, data } = this;
+    camera.zoom(factor, px, py);
+    this.atHome = false;
+    // While the picture goes along with the sensor, it stays where it was put relative to it.
+    this.offset = [camera.x - data.poses.x[state.frame], camera.y - data.poses.y[state.frame]];
+    this.refresh();
+  }
+
+  // The whole traffic if the sensor stands; its surroundings if it drives.
+  home() {
+    const { data, state, camera } = this;
+    const { truth, poses } = data;
+    const moving = this.travels();
+    const [dx, dy] = [[], []];
+    for (let row = 0; row < truth.rows; row++) {
+      const f = truth.frame[row];
+      const x = truth.x[row] - (moving ? poses.x[f] : 0);
+      const y = truth.y[row] - (moving ? poses.y[f] : 0);
+      if (Math.hypot(truth.x[row] - poses.x[f], truth.y[row] - poses.y[f]) <= data.site.range) {
+        dx.push(x);
+        dy.push(y);
+      }
+    }
+    const here = [moving ? 0 : poses.x[0], moving ? 0 : poses.y[0]];
+    const extent = (values, centre) => {
+      values.sort((a, b) => a - b);
+      const at = (share) => values[Math.round(share * (values.length - 1))] ?? centre;
+      return [Math.min(at(0.02), centre), Math.max(at(0.98), centre)];
+    };
+    const [x0, x1] = extent(dx, here[0]);
+    const [y0, y1] = extent(dy, here[1]);
+    camera.frame([x0 - 12, y0 - 12, x1 + 12, y1 + 12]);
+    this.offset = [camera.x - here[0], camera.y - here[1]];
+    state.follow = moving ? "sensor" : "none";
+    this.atHome = true;
+    this.refresh();
+  }
+
+  resize() {
+    for (const { canvas } of this.views) fitCanvas(canvas);
+    const first = this.views[0].canvas;
+    [this.camera.width, this.camera.height] = [first.clientWidth, first.clientHeight];
+    this.plots.canvas.style.height = `${this.plots.height}px`;
+    fitCanvas(this.plots.canvas);
+    this.plots.width = this.plots.canvas.clientWidth;
+    if (this.atHome) this.home();
+    this.refresh();
+  }
+
+  refresh() {
+    if (this.pending) return;
+    this.pending = true;
+    requestAnimationFrame(() => {
+      this.pending = false;
+      this.draw();
+    });
+  }
+
+  draw() {
+    const { data, state, camera } = this;
+    if (state.follow === "sensor" && this.offset) {
+      camera.x = data.poses.x[state.frame] + this.offset[0];
+      camera.y = data.poses.y[state.frame] + this.offset[1];
+    }
+    for (const { scene, tracker, caption } of this.views) {
+      scene.draw(state, tracker);
+      caption.textContent = this.caption(tracker);
+    }
+    this.plots.draw(state);
+    this.slider.value = state.frame;
+    const last = data.times[data.frames - 1];
+    this.find(".clock").textContent = `${data.times[state.frame].toFixed(1)} / ${last.toFixed(1)} s`;
+    this.find(".frame").textContent = `frame ${state.frame}`;
+    this.find("[data-do=follow]").setAttribute("aria-pressed", state.follow === "sensor");
+  }
+
+  caption(index) {
+    const { data, state } = this;
+    const tracker = data.trackers[index];
+    if (!tracker) return "";
+    const rows = tracker.at[state.frame];
+    const wrong = rows.filter((row) => tracker.false[row]).length;
+    const counts = `${rows.length} tracks · ${tracker.missed.at[state.frame].length} missed · ${wrong} false`;
+    return state.compare ? `${tracker.name}: ${counts}` : counts;
+  }
+
+  // Expected and true number of undetected objects in [x0, y0, x1, y1], for the shown tracker.
+  hidden(box) {
+    return hiddenIn(this.data, this.data.trackers[this.state.tracker], this.state.frame, box);
+  }
+
+  // Pointer work on one stage: pan, pinch, zoom, hover, and the measuring rectangle.
+  point(canvas, tracker) {
+    const { state, camera } = this;
+    const down = new Map();
+    const here = (event) => [event.offsetX, event.offsetY];
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      this.root.focus({ preventScroll: true });
+      down.set(event.pointerId, here(event));
+      this.corner = state.measuring ? camera.toWorld(...here(event)) : null;
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (!down.has(event.pointerId)) {
+        this.hover(canvas, tracker, ...here(event));
+        return;
+      }
+      const before = down.get(event.pointerId);
+      const now = here(event);
+      if (this.corner) {
+        const [x, y] = camera.toWorld(...now);
+        const [u, v] = this.corner;
+        state.region = [Math.min(x, u), Math.min(y, v), Math.max(x, u), Math.max(y, v)];
+      } else if (down.size === 2) {
+        const other = [...down].find(([id]) => id !== event.pointerId)[1];
+        const apart = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
+        this.zoom(apart(now) / Math.max(1, apart(before)), ...other);
+      } else {
+        state.follow = "none";
+        this.atHome = false;
+        camera.x -= (now[0] - before[0]) / camera.scale;
+        camera.y += (now[1] - before[1]) / camera.scale;
+      }
+      down.set(event.pointerId, now);
+      this.refresh();
+    });
+    for (const name of ["pointerup", "pointercancel"]) {
+      canvas.addEventListener(name, (event) => down.delete(event.pointerId));
+    }
+    canvas.addEventListener("pointerleave", () => this.hover(canvas, tracker, -1e6, -1e6));
+    canvas.addEventListener("dblclick", () => this.home());
+    canvas.addEventListener("wheel", (event) => {
+      // A page that scrolls must not stick here: the wheel zooms once the replay has the focus.
+      if (!event.ctrlKey && !this.root.contains(document.activeElement)) return;
+      event.preventDefault();
+      this.zoom(Math.exp(-event.deltaY * 0.0016), ...here(event));
+    }, { passive: false });
+  }
+
+  hover(canvas, view, px, py) {
+    const { state, camera, data } = this;
+    const [x, y] = camera.toWorld(px, py);
+    const tables = [];
+    if (state.layers.has("tracks") && data.trackers[view]) tables.push(data.trackers[view]);
+    if (state.layers.has("truth")) tables.push(data.truth);
+    if (state.layers.has("detections")) tables.push(data.detections);
+    const reach = 6 / camera.scale;
+    const found = [];
+    for (const table of tables) {
+      const near = table.at[state.frame]
+        .map((row) => ({ table, row, view, distance: boxDistance(table, row, x, y) }))
+        .filter((hit) => hit.distance <= reach)
+        .sort((a, b) => a.distance - b.distance);
+      if (near.length) found.push(near[0]);
+    }
+    const tip = this.find(".tip");
+    const changed = state.hover?.row !== found[0]?.row || state.hover?.table !== found[0]?.table;
+    state.hover = found[0] ?? null;
+    tip.hidden = !found.length;
+    if (found.length) {
+      tip.replaceChildren(...found.map((hit) => this.describe(hit)));
+      const frame = this.root.getBoundingClientRect();
+      const stage = canvas.getBoundingClientRect();
+      const left = stage.left - frame.left + px + 16;
+      tip.style.left = `${Math.min(left, frame.width - tip.offsetWidth - 4)}px`;
+      tip.style.top = `${stage.top - frame.top + py + 16}px`;
+    }
+    if (changed) this.refresh();
+  }
+
+  describe({ table, row }) {
+    const { data } = this;
+    const lines = [];
+    const label = data.labels[table.label[row]];
+    const speed = () => `${Math.hypot(table.vx[row], table.vy[row]).toFixed(1)} m/s`;
+    const at = (axis, values) => (values[row] + data.centre[axis]).toFixed(1);
+    const place = `x ${at(0, table.x)}, y ${at(1, table.y)} m`;
+    let title;
+    if (table === data.truth) {
+      const name = table.names[table.object[row]];
+      title = `object ${table.ids[table.object[row]]}${name ? ` (${name})` : ""}`;
+      const seen = table.flags[row] & 1 ? `${Math.round(100 * table.visibility[row])} % visible` : "not observable";
+      lines.push(`${label}, ${speed()}, ${seen}`);
+      if (table.flags[row] & 2) lines.push("has crashed");
+    } else if (table === data.detections) {
+      title = `detection, score ${table.score[row].toFixed(2)}`;
+      const origin = table.origin[row];
+      if (table.origins) lines.push(origin < 0 ? `${label}; in truth: clutter` : `${label}; in truth: object ${table.origins[origin]}`);
+      else lines.push(label);
+    } else {
+      title = `track ${table.ids[table.object[row]]}`;
+      lines.push(`${label}, ${speed()}, existence ${table.score[row].toFixed(2)}`);
+      if (table.sx) lines.push(`σ ${table.sx[row].toFixed(2)} m, ${table.sy[row].toFixed(2)} m`);
+      if (table.false[row]) lines.push("false: no object within reach");
+    }
+    const box = element("div");
+    box.append(element("strong", "", title), ...[...lines, place].map((line) => element("span", "", line)));
+    return box;
+  }
+}
+
+function element(tag, className = "", text = "") {
+  const made = document.createElement(tag);
+  if (className) made.className = className;
+  if (text) made.textContent = text;
+  return made;
+}
+
+function fitCanvas(canvas) {
+  const ratio = window.devicePixelRatio || 1;
+  canvas.width = Math.round(canvas.clientWidth * ratio);
+  canvas.height = Math.round(canvas.clientHeight * ratio);
+  canvas.getContext("2d").setTransform(ratio, 0, 0, ratio, 0, 0);
+}

@@ -1,0 +1,456 @@
+// The road from above: one drawing of one frame with one tracker's report.
+
+const TRAIL_SECONDS = 3;
+
+class Camera {
+  constructor() {
+    Object.assign(this, { x: 0, y: 0, scale: 6, width: 1, height: 1 });
+  }
+  toScreen(x, y) {
+    return [this.width / 2 + (x - this.x) * this.scale, this.height / 2 - (y - this.y) * this.scale];
+  }
+  toWorld(px, py) {
+    return [this.x + (px - this.width / 2) / this.scale, this.y - (py - this.height / 2) / this.scale];
+  }
+  zoom(factor, px, py) {
+    const [x, y] = this.toWorld(px, py);
+    this.scale = Math.min(120, Math.max(0.4, this.scale * factor));
+    this.x = x - (px - this.width / 2) / this.scale;
+    this.y = y + (py - this.height / 2) / this.scale;
+  }
+  // Shows the rectangle [x0, y0, x1, y1] whole.
+  frame([x0, y0, x1, y1]) {
+    [this.x, this.y] = [(x0 + x1) / 2, (y0 + y1) / 2];
+    this.scale = Math.min(28, this.width / (x1 - x0), this.height / (y1 - y0));
+  }
+}
+
+class Scene {
+  constructor(canvas, camera, data, colours) {
+    Object.assign(this, { canvas, camera, data, colours });
+    this.context = canvas.getContext("2d");
+    this.heat = document.createElement("canvas");
+  }
+
+  draw(state, trackerIndex) {
+    const { context: c, camera, data } = this;
+    const tracker = data.trackers[trackerIndex];
+    const colour = this.colours.tracker(trackerIndex);
+    const on = (layer) => state.layers.has(layer);
+    const frame = state.frame;
+    this.eye = [data.poses.x[frame], data.poses.y[frame], data.poses.yaw[frame]];
+    c.clearRect(0, 0, camera.width, camera.height);
+    if (on("site")) this.drivable();
+    if (on("undetected") && tracker?.undetected) this.intensity(tracker.undetected, frame);
+    if (on("view")) this.fieldOfView();
+    if (on("shadows")) this.shadows(frame);
+    if (on("view")) this.rings();
+    if (on("site")) this.occluders();
+    if (on("truth")) for (const row of data.truth.at[frame]) this.truthBox(row);
+    this.sensor();
+    if (on("detections")) for (const row of data.detections.at[frame]) this.detection(row);
+    if (tracker) {
+      const rows = tracker.at[frame];
+      const paint = (row) => (on("identity") ? this.colours.identity(tracker.object[row]) : colour);
+      if (on("trails")) for (const row of rows) this.trail(tracker, row, paint(row));
+      if (on("tracks")) for (const row of rows) this.trackBox(tracker, row, paint(row));
+      if (on("uncertainty") && tracker.sx) for (const row of rows) this.ellipse(tracker, row, paint(row));
+      if (on("velocity")) for (const row of rows) this.arrow(tracker, row, paint(row));
+      if (on("errors")) this.errors(tracker, frame);
+      if (on("tracks")) this.trackLabels(tracker, rows, paint);
+    }
+    if (state.region) this.region(state.region, tracker, frame, colour);
+    if (state.hover?.view === trackerIndex) this.outline(state.hover);
+    this.scaleBar();
+  }
+
+  path(points) {
+    const c = this.context;
+    points.forEach(([x, y], i) => {
+      const [px, py] = this.camera.toScreen(x, y);
+      if (i) c.lineTo(px, py);
+      else c.moveTo(px, py);
+    });
+    c.closePath();
+  }
+
+  drivable() {
+    if (!this.data.site.drivable) return;
+    const c = this.context;
+    c.beginPath();
+    for (const ring of this.data.site.drivable) this.path(ring);
+    c.fillStyle = this.colours.road;
+    c.fill("nonzero");
+  }
+
+  sector() {
+    const { range, fovCentre, fovHalf } = this.data.site;
+    const [x, y] = this.camera.toScreen(this.eye[0], this.eye[1]);
+    const c = this.context;
+    const radius = range * this.camera.scale;
+    if (fovHalf >= Math.PI - 1e-6) {
+      c.moveTo(x + radius, y);
+      c.arc(x, y, radius, 0, 2 * Math.PI);
+    } else {
+      const middle = -(this.eye[2] + fovCentre);
+      c.moveTo(x, y);
+      c.arc(x, y, radius, middle - fovHalf, middle + fovHalf);
+      c.closePath();
+    }
+  }
+
+  fieldOfView() {
+    const c = this.context;
+    c.beginPath();
+    c.rect(0, 0, this.camera.width, this.camera.height);
+    this.sector();
+    c.fillStyle = this.colours.unseen;
+    c.fill("evenodd");
+    c.beginPath();
+    this.sector();
+    c.strokeStyle = this.colours.line;
+    c.lineWidth = 1;
+    c.stroke();
+  }
+
+  shadows(frame) {
+    const { truth, site } = this.data;
+    const c = this.context;
+    c.save();
+    c.beginPath();
+    this.sector();
+    c.clip();
+    c.beginPath();
+    const outlines = truth.at[frame].map((row) => boxCorners(truth, row)).concat(site.occluders);
+    for (const outline of outlines) {
+      const shade = shadowOf(outline, this.eye, site.range * 1.1);
+      if (shade) this.path(shade);
+    }
+    c.fillStyle = this.colours.unseen;
+    c.fill("nonzero");
+    c.restore();
+  }
+
+  rings() {
+    const c = this.context;
+    const step = [5, 10, 20, 50, 100, 200].find((s) => s * this.camera.scale > 90) ?? 500;
+    const [x, y] = this.camera.toScreen(this.eye[0], this.eye[1]);
+    c.save();
+    c.strokeStyle = this.colours.line;
+    c.fillStyle = this.colours.faint;
+    c.font = this.colours.font(10);
+    c.lineWidth = 1;
+    c.setLineDash([1, 5]);
+    c.textAlign = "center";
+    for (let r = step; r < this.data.site.range; r += step) {
+      c.beginPath();
+      c.arc(x, y, r * this.camera.scale, 0, 2 * Math.PI);
+      c.stroke();
+      c.fillText(`${r}`, x, y - r * this.camera.scale - 3);
+    }
+    c.restore();
+  }
+
+  occluders() {
+    const c = this.context;
+    c.beginPath();
+    for (const ring of this.data.site.occluders) this.path(ring);
+    c.fillStyle = this.colours.building;
+    c.fill();
+  }
+
+  sensor() {
+    const c = this.context;
+    const [x, y] = this.camera.toScreen(this.eye[0], this.eye[1]);
+    const size = Math.max(7, 1.6 * this.camera.scale);
+    c.save();
+    c.translate(x, y);
+    c.rotate(-this.eye[2]);
+    c.beginPath();
+    c.moveTo(size, 0);
+    c.lineTo(-size * 0.7, size * 0.62);
+    c.lineTo(-size * 0.35, 0);
+    c.lineTo(-size * 0.7, -size * 0.62);
+    c.closePath();
+    c.fillStyle = this.colours.ink;
+    c.fill();
+    c.restore();
+  }
+
+  truthBox(row) {
+    const { truth } = this.data;
+    const c = this.context;
+    const observable = truth.flags[row] & 1;
+    const corners = boxCorners(truth, row);
+    c.save();
+    c.beginPath();
+    this.path(corners);
+    if (observable) {
+      c.fillStyle = this.colours.truthFill;
+      c.fill();
+    } else c.setLineDash([4, 3]);
+    c.strokeStyle = truth.flags[row] & 2 ? this.colours.error : this.colours.truth;
+    c.lineWidth = 1;
+    c.stroke();
+    c.setLineDash([]);
+    // A windscreen says which way it faces.
+    const at = (share) => [
+      mix(corners[0], corners[1], share),
+      mix(corners[3], corners[2], share),
+    ];
+    if (truth.length[row] * this.camera.scale > 14) {
+      const [a, b] = at(0.28).map(([px, py]) => this.camera.toScreen(px, py));
+      c.beginPath();
+      c.moveTo(...a);
+      c.lineTo(...b);
+      c.stroke();
+    }
+    c.restore();
+  }
+
+  detection(row) {
+    const { detections } = this.data;
+    const c = this.context;
+    const score = detections.score[row];
+    c.save();
+    c.globalAlpha = 0.35 + 0.65 * score;
+    c.strokeStyle = this.colours.detection;
+    c.fillStyle = this.colours.detection;
+    c.lineWidth = 1.4;
+    c.beginPath();
+    this.path(boxCorners(detections, row));
+    c.stroke();
+    const [x, y] = this.camera.toScreen(detections.x[row], detections.y[row]);
+    c.beginPath();
+    c.arc(x, y, 1.8, 0, 2 * Math.PI);
+    c.fill();
+    c.restore();
+    if (this.camera.scale > 5) {
+      const drop = (detections.width[row] / 2) * this.camera.scale + 13;
+      this.text(score.toFixed(2).replace(/^0/, ""), x, y + drop, this.colours.detectionText, 10, "center");
+    }
+  }
+
+  trail(tracker, row, colour) {
+    const c = this.context;
+    const times = this.data.times;
+    const now = times[tracker.frame[row]];
+    c.save();
+    c.strokeStyle = colour;
+    c.lineWidth = 1.6;
+    c.lineCap = "round";
+    // Rows are sorted by track, then frame: the past lies just before.
+    for (let r = row; r > 0 && tracker.object[r - 1] === tracker.object[row]; r--) {
+      const age = now - times[tracker.frame[r - 1]];
+      if (age > TRAIL_SECONDS) break;
+      c.globalAlpha = 0.55 * (1 - age / TRAIL_SECONDS);
+      c.setLineDash(tracker.frame[r] - tracker.frame[r - 1] > 1 ? [2, 4] : []);
+      c.beginPath();
+      c.moveTo(...this.camera.toScreen(tracker.x[r], tracker.y[r]));
+      c.lineTo(...this.camera.toScreen(tracker.x[r - 1], tracker.y[r - 1]));
+      c.stroke();
+    }
+    c.restore();
+  }
+
+  trackBox(tracker, row, colour) {
+    const c = this.context;
+    c.save();
+    c.beginPath();
+    this.path(boxCorners(tracker, row));
+    c.globalAlpha = 0.1;
+    c.fillStyle = colour;
+    c.fill();
+    c.globalAlpha = 0.4 + 0.6 * tracker.score[row];
+    c.strokeStyle = colour;
+    c.lineWidth = 2;
+    c.lineJoin = "round";
+    c.stroke();
+    c.restore();
+  }
+
+  trackLabels(tracker, rows, paint) {
+    if (this.camera.scale < 1.5) return;
+    for (const row of rows) {
+      const corners = boxCorners(tracker, row).map(([x, y]) => this.camera.toScreen(x, y));
+      const top = Math.min(...corners.map((p) => p[1]));
+      const [x] = this.camera.toScreen(tracker.x[row], tracker.y[row]);
+      this.text(tracker.ids[tracker.object[row]], x, top - 5, paint(row), 12, "center", 650);
+    }
+  }
+
+  ellipse(tracker, row, colour) {
+    const c = this.context;
+    const [a, b] = [tracker.sx[row] ** 2, tracker.sy[row] ** 2];
+    const d = Math.sign(tracker.sxy[row]) * tracker.sxy[row] ** 2;
+    const middle = (a + b) / 2;
+    const spread = Math.hypot((a - b) / 2, d);
+    const [x, y] = this.camera.toScreen(tracker.x[row], tracker.y[row]);
+    const radius = (variance) => 2 * Math.sqrt(Math.max(variance, 1e-4)) * this.camera.scale;
+    c.save();
+    c.strokeStyle = colour;
+    c.lineWidth = 1.2;
+    c.setLineDash([2, 2]);
+    c.beginPath();
+    c.ellipse(x, y, radius(middle + spread), radius(middle - spread), -Math.atan2(2 * d, a - b) / 2, 0, 2 * Math.PI);
+    c.stroke();
+    c.restore();
+  }
+
+  arrow(tracker, row, colour) {
+    const [vx, vy] = [tracker.vx[row], tracker.vy[row]];
+    const [x, y] = this.camera.toScreen(tracker.x[row], tracker.y[row]);
+    const [tx, ty] = this.camera.toScreen(tracker.x[row] + vx, tracker.y[row] + vy);
+    const length = Math.hypot(tx - x, ty - y);
+    if (length < 6) return;
+    const c = this.context;
+    const [ux, uy] = [(tx - x) / length, (ty - y) / length];
+    c.save();
+    c.strokeStyle = c.fillStyle = colour;
+    c.globalAlpha = 0.85;
+    c.lineWidth = 1.4;
+    c.beginPath();
+    c.moveTo(x, y);
+    c.lineTo(tx - 5 * ux, ty - 5 * uy);
+    c.stroke();
+    c.beginPath();
+    c.moveTo(tx, ty);
+    c.lineTo(tx - 7 * ux - 3 * uy, ty - 7 * uy + 3 * ux);
+    c.lineTo(tx - 7 * ux + 3 * uy, ty - 7 * uy - 3 * ux);
+    c.closePath();
+    c.fill();
+    c.restore();
+  }
+
+  errors(tracker, frame) {
+    const { truth } = this.data;
+    const c = this.context;
+    c.save();
+    c.strokeStyle = this.colours.error;
+    c.lineWidth = 2;
+    const rowOf = new Map(truth.at[frame].map((row) => [truth.object[row], row]));
+    for (const entry of tracker.missed.at[frame]) {
+      const row = rowOf.get(tracker.missed.object[entry]);
+      const [x, y] = this.camera.toScreen(truth.x[row], truth.y[row]);
+      const radius = (Math.hypot(truth.length[row], truth.width[row]) / 2) * this.camera.scale + 5;
+      c.beginPath();
+      c.arc(x, y, radius, 0, 2 * Math.PI);
+      c.stroke();
+    }
+    for (const row of tracker.at[frame]) {
+      if (!tracker.false[row]) continue;
+      const [x, y] = this.camera.toScreen(tracker.x[row], tracker.y[row]);
+      const arm = Math.max(5, 0.9 * this.camera.scale);
+      c.beginPath();
+      c.moveTo(x - arm, y - arm);
+      c.lineTo(x + arm, y + arm);
+      c.moveTo(x - arm, y + arm);
+      c.lineTo(x + arm, y - arm);
+      c.stroke();
+    }
+    c.restore();
+  }
+
+  intensity(mixture, frame) {
+    const rows = mixture.at[frame];
+    if (!rows.length) return;
+    const { camera, heat } = this;
+    const cell = 5;
+    const [columns, lines] = [Math.ceil(camera.width / cell), Math.ceil(camera.height / cell)];
+    const [x0, y1] = camera.toWorld(0, 0);
+    const [x1, y0] = camera.toWorld(columns * cell, lines * cell);
+    const grid = intensityGrid(mixture, rows, [x0, y0, x1, y1], columns, lines);
+    [heat.width, heat.height] = [columns, lines];
+    const context = heat.getContext("2d");
+    const image = context.createImageData(columns, lines);
+    const [red, green, blue] = this.colours.heat;
+    for (let j = 0; j < lines; j++) {
+      for (let i = 0; i < columns; i++) {
+        const at = 4 * ((lines - 1 - j) * columns + i);
+        image.data.set([red, green, blue, 255 * heatOpacity(grid[j * columns + i])], at);
+      }
+    }
+    context.putImageData(image, 0, 0);
+    this.context.drawImage(heat, 0, 0, columns * cell, lines * cell);
+  }
+
+  region(box, tracker, frame, colour) {
+    const c = this.context;
+    const [ax, ay] = this.camera.toScreen(box[0], box[3]);
+    const [bx, by] = this.camera.toScreen(box[2], box[1]);
+    c.save();
+    c.strokeStyle = this.colours.ink;
+    c.lineWidth = 1.5;
+    c.setLineDash([5, 3]);
+    c.strokeRect(ax, ay, bx - ax, by - ay);
+    c.restore();
+    const count = hiddenIn(this.data, tracker, frame, box);
+    const expected = count.expected === null ? "" : `expected ${count.expected.toFixed(2)}, `;
+    this.text(`${expected}there ${count.there}`, (ax + bx) / 2, ay - 7, this.colours.ink, 13, "center", 650);
+  }
+
+  outline({ table, row }) {
+    const c = this.context;
+    c.save();
+    c.beginPath();
+    this.path(boxCorners(table, row));
+    c.strokeStyle = this.colours.ink;
+    c.lineWidth = 3;
+    c.stroke();
+    c.restore();
+  }
+
+  scaleBar() {
+    const metres = [1, 2, 5, 10, 20, 50, 100, 200].find((m) => m * this.camera.scale > 60) ?? 500;
+    const c = this.context;
+    const [x, y] = [14, this.camera.height - 14];
+    c.save();
+    c.strokeStyle = this.colours.soft;
+    c.lineWidth = 1.5;
+    c.beginPath();
+    c.moveTo(x, y - 4);
+    c.lineTo(x, y);
+    c.lineTo(x + metres * this.camera.scale, y);
+    c.lineTo(x + metres * this.camera.scale, y - 4);
+    c.stroke();
+    c.restore();
+    this.text(`${metres} m`, x + metres * this.camera.scale + 7, y + 1, this.colours.soft, 11, "left");
+  }
+
+  text(words, x, y, colour, size, align, weight = 500) {
+    const c = this.context;
+    c.save();
+    c.font = this.colours.font(size, weight);
+    c.textAlign = align;
+    c.lineJoin = "round";
+    c.lineWidth = 3;
+    c.strokeStyle = this.colours.stage;
+    c.strokeText(words, x, y);
+    c.fillStyle = colour;
+    c.fillText(words, x, y);
+    c.restore();
+  }
+}
+
+function mix([ax, ay], [bx, by], share) {
+  return [ax + (bx - ax) * share, ay + (by - ay) * share];
+}
+
+// From a ten-thousandth of an object per 100 m2 (clear) to one (opaque), by decades.
+function heatOpacity(density) {
+  if (density <= 0) return 0;
+  return 0.85 * Math.min(1, Math.max(0, (Math.log10(density * 100) + 3) / 3));
+}
+
+// What the tracker expects in a rectangle, and how many never detected objects are there.
+function hiddenIn(data, tracker, frame, box) {
+  const { truth } = data;
+  const there = truth.at[frame].filter(
+    (row) =>
+      !(truth.flags[row] & 4) &&
+      truth.x[row] >= box[0] && truth.x[row] <= box[2] &&
+      truth.y[row] >= box[1] && truth.y[row] <= box[3],
+  ).length;
+  const mixture = tracker?.undetected;
+  return { there, expected: mixture ? expectedCount(mixture, mixture.at[frame], box) : null };
+}

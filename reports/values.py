@@ -1,0 +1,63 @@
+"""What a report shows: sections of results, and trials to replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from pmbm.errors import InputError
+from pmbm.types import FloatArray, Recording, TrackSequence
+
+if TYPE_CHECKING:
+    from pmbm.study import Summary
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Replay:
+    """One trial to look at, frame by frame.
+
+    recording : what happened and what the detector said of it.
+    tracks : tracker -> what it said; the order is the order on the page.
+    series : tracker -> metric -> value of each step (S,), NaN where undefined.  `gospa`,
+        `gospa_localisation`, `gospa_missed` and `gospa_false` are drawn where they are given,
+        over observable objects where the same name with "_observable" at its end is given too.
+    title : which trial this is, for people.
+    start : truth frame that is shown first.
+    """
+
+    recording: Recording
+    tracks: Mapping[str, TrackSequence]
+    series: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
+    title: str = ""
+    start: int = 0
+
+    def __post_init__(self) -> None:
+        for tracker, metrics in self.series.items():
+            steps = len(self.tracks[tracker]) if tracker in self.tracks else None
+            for metric, values in metrics.items():
+                if steps is None or len(values) != steps:
+                    raise InputError(
+                        f"replay of '{self.recording.name}': a series has one value per step",
+                        field=f"series['{tracker}']['{metric}']",
+                        expected=steps if steps is not None else f"one of {list(self.tracks)}",
+                        got=len(values),
+                    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Section:
+    """One scenario's results.
+
+    name : of the scenario.
+    stresses : one sentence, what it is hard for.
+    summary : means with intervals per tracker and metric, and paired differences.
+    replay : one trial to look at, or None.
+    provenance : what is needed to make the results again.
+    """
+
+    name: str
+    stresses: str
+    summary: Summary
+    replay: Replay | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)

@@ -1,0 +1,328 @@
+"""The replay page in a real browser: opened from disk, no errors, everything does what it says."""
+
+import hashlib
+import time
+
+import numpy as np
+import pytest
+from browser import chromium, needs_chromium
+from traffic import recording, tracks
+
+from pmbm.metrics import evaluate
+from pmbm.study import TrialResult, summarise
+from pmbm.types import Site
+from reports.render import run_page
+from reports.values import Replay, Section
+
+pytestmark = [pytest.mark.browser, needs_chromium]
+
+HOSTILE = "<img src=x onerror=\"document.title='broken'\"></script><b>\u2028"
+
+
+def page(scene, by_tracker, name="hand-made", **changes):
+    scores = {key: evaluate(scene, value) for key, value in by_tracker.items()}
+    series = {
+        key: {name: value.series for name, value in one.items() if value.series is not None}
+        for key, one in scores.items()
+    }
+    results = [
+        TrialResult("s", 0, trial, "d", {key: one.scalars() for key, one in scores.items()}, {})
+        for trial in range(3)
+    ]
+    section = Section(
+        name=name,
+        stresses="A hidden car.",
+        summary=summarise(results),
+        replay=Replay(recording=scene, tracks=by_tracker, series=series, **changes),
+        provenance=scene.provenance,
+    )
+    return run_page([section], title=f"Report on {name}", command=f"pmbm run {name}")
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with chromium(tmp_path_factory.mktemp("profile")) as driver:
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def plain_page(tmp_path_factory):
+    scene = recording()
+    path = tmp_path_factory.mktemp("pages") / "plain.html"
+    by_tracker = {"careful": tracks(scene, undetected=True), "sloppy": tracks(scene, sloppy=True)}
+    path.write_text(page(scene, by_tracker), encoding="utf-8")
+    return path
+
+
+def opened(driver, path):
+    driver.get(path.as_uri())
+    wait(driver, "return !!document.querySelector('.replay.ready')")
+    driver.execute_script(
+        "window.player = document.querySelector('.replay').player;"
+        "window.pixels = (s = '.stage canvas') => document.querySelector(s).toDataURL();"
+        "document.querySelector('.replay').scrollIntoView();"
+    )
+    settle(driver)
+
+
+def wait(driver, script, seconds=10):
+    end = time.monotonic() + seconds
+    while not driver.execute_script(script):
+        assert time.monotonic() < end, f"never true: {script}"
+        time.sleep(0.02)
+
+
+def settle(driver):
+    """Until the drawing that is due has been done."""
+    driver.execute_async_script(
+        "const done = arguments[0];"
+        "requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 0)));"
+    )
+
+
+def click(driver, selector):
+    driver.find_element("css selector", selector).click()
+    settle(driver)
+
+
+def press(driver, key):
+    driver.find_element("css selector", ".replay").send_keys(key)
+    settle(driver)
+
+
+def pixels(driver):
+    """A digest of what the first stage shows."""
+    return hashlib.sha256(driver.execute_script("return pixels()").encode()).hexdigest()[:16]
+
+
+def frame(driver):
+    return driver.execute_script("return player.state.frame")
+
+
+def complaints(driver):
+    return [entry for entry in driver.get_log("browser") if entry["level"] != "INFO"]
+
+
+@pytest.fixture
+def plain(browser, plain_page):
+    opened(browser, plain_page)
+    yield browser
+    assert complaints(browser) == []
+
+
+def test_the_scrubber_moves_the_frame(plain):
+    before = pixels(plain)
+    plain.execute_script(
+        "const s = document.querySelector('input[type=range]'); s.value = 40;"
+        "s.dispatchEvent(new Event('input', {bubbles: true}));"
+    )
+    settle(plain)
+    assert frame(plain) == 40
+    assert pixels(plain) != before
+    assert plain.find_element("css selector", ".clock").text.startswith("4.0 /")
+
+
+def test_play_advances_and_pause_stops(plain):
+    click(plain, "[data-do=play]")
+    wait(plain, "return player.state.frame >= 3")
+    click(plain, "[data-do=play]")
+    stopped = frame(plain)
+    time.sleep(0.3)
+    assert frame(plain) == stopped
+
+
+def test_play_ends_at_the_last_frame_and_starts_over(plain):
+    plain.execute_script("player.seek(97)")
+    click(plain, "[data-do=play]")
+    wait(plain, "return !player.state.playing")
+    assert frame(plain) == 99
+    click(plain, "[data-do=play]")
+    wait(plain, "return player.state.frame >= 1 && player.state.frame < 50")
+
+
+def test_playing_keeps_the_time_of_the_recording(plain):
+    """At 4x, 100 frames of 0.1 s take 2.5 s."""
+    plain.execute_script(
+        "const s = document.querySelector('.transport select'); s.value = '4';"
+        "s.dispatchEvent(new Event('change', {bubbles: true}));"
+    )
+    start = time.monotonic()
+    click(plain, "[data-do=play]")
+    wait(plain, "return !player.state.playing")
+    assert 2.2 <= time.monotonic() - start <= 4.5
+
+
+def test_every_layer_switches(plain):
+    plain.execute_script("player.choose(0); player.seek(47)")
+    assert_layers_switch(
+        plain, "truth detections tracks trails velocity uncertainty shadows view site undetected"
+    )
+    plain.execute_script("player.choose(1); player.seek(30)")
+    assert_layers_switch(plain, "errors identity")
+
+
+def assert_layers_switch(driver, layers):
+    settle(driver)
+    before = pixels(driver)
+    for layer in layers.split():
+        button = f"[data-layer={layer}]"
+        pressed = driver.find_element("css selector", button).get_attribute("aria-pressed")
+        click(driver, button)
+        assert pixels(driver) != before, layer
+        now = driver.find_element("css selector", button).get_attribute("aria-pressed")
+        assert {pressed, now} == {"true", "false"}
+        click(driver, button)
+        assert pixels(driver) == before, layer
+
+
+def test_trackers_switch_and_stand_side_by_side(plain):
+    plain.execute_script("player.seek(30)")
+    settle(plain)
+    first = pixels(plain)
+    click(plain, "[data-tracker='1']")
+    assert pixels(plain) != first
+    assert plain.find_element("css selector", ".caption").text == "5 tracks · 0 missed · 1 false"
+    click(plain, "[data-tracker=compare]")
+    captions = [e.text for e in plain.find_elements("css selector", ".caption")]
+    assert [text.split(":")[0] for text in captions] == ["careful", "sloppy"]
+    click(plain, "[data-tracker='0']")
+    assert pixels(plain) == first
+
+
+def test_keys(plain):
+    from selenium.webdriver.common.keys import Keys
+
+    press(plain, Keys.ARROW_RIGHT)
+    assert frame(plain) == 1
+    press(plain, Keys.SHIFT + Keys.ARROW_RIGHT)
+    assert frame(plain) == 11
+    press(plain, Keys.NULL + Keys.ARROW_LEFT)
+    assert frame(plain) == 10
+    press(plain, Keys.END)
+    assert frame(plain) == 99
+    press(plain, "2")
+    assert plain.execute_script("return player.state.tracker") == 1
+    press(plain, "w")
+    worst = plain.execute_script("const t = player.data.trackers[1]; return t.series.gospa")
+    assert frame(plain) == int(np.argmax(worst))
+    scale = plain.execute_script("return player.camera.scale")
+    press(plain, "+")
+    assert plain.execute_script("return player.camera.scale") > scale
+
+
+def test_dragging_pans_and_fit_comes_back(plain):
+    from selenium.webdriver import ActionChains
+
+    before = pixels(plain)
+    canvas = plain.find_element("css selector", ".stage canvas")
+    ActionChains(plain).drag_and_drop_by_offset(canvas, 60, 20).perform()
+    settle(plain)
+    assert pixels(plain) != before
+    click(plain, "[data-do=home]")
+    plain.execute_script("player.state.hover = null; player.refresh()")
+    settle(plain)
+    assert pixels(plain) == before
+
+
+def test_hovering_tells_the_details(plain):
+    from selenium.webdriver import ActionChains
+
+    plain.execute_script("player.seek(40)")
+    settle(plain)
+    x, y = plain.execute_script(
+        "const d = player.data.truth, row = d.at[40].find((r) => d.ids[d.object[r]] === '11');"
+        "const c = document.querySelector('.stage canvas');"
+        "const [x, y] = player.camera.toScreen(d.x[row], d.y[row]);"
+        "return [x - c.clientWidth / 2, y - c.clientHeight / 2]"
+    )
+    canvas = plain.find_element("css selector", ".stage canvas")
+    ActionChains(plain).move_to_element_with_offset(canvas, int(x), int(y)).perform()
+    settle(plain)
+    text = plain.find_element("css selector", ".tip").text
+    assert "track 11" in text
+    assert "object 11 (truck)" in text
+    assert "100 % visible" in text
+
+
+def test_a_drawn_rectangle_counts_hidden_objects(plain):
+    """The browser's number against scipy's, for a rectangle that cuts through the components."""
+    from scipy.stats import norm
+
+    box = [14.0, 16.0, 30.0, 26.0]
+    counted = plain.execute_script(
+        "player.choose(0); player.seek(30);"
+        "const m = player.data.trackers[0].undetected;"
+        "const b = [0, 1, 2, 3].map((i) => arguments[0][i] - player.data.centre[i % 2]);"
+        "player.state.region = b; player.refresh();"
+        "return player.hidden(b)",
+        box,
+    )
+    share_x = norm.cdf((30 - 20) / 40**0.5) - norm.cdf((14 - 20) / 40**0.5)
+    share_y = norm.cdf((26 - 20) / 25**0.5) - norm.cdf((16 - 20) / 25**0.5)
+    # The page keeps positions to 0.05 m and log weights to 0.005.
+    assert counted["expected"] == pytest.approx(0.5 * share_x * share_y, rel=0.02)
+    assert counted["there"] == 0
+
+
+def test_hostile_strings_stay_strings(browser, tmp_path):
+    scene = recording(
+        frames=12,
+        name=HOSTILE,
+        object_name={11: HOSTILE},
+        provenance={HOSTILE: HOSTILE},
+        site=Site(),
+    )
+    path = tmp_path / "hostile.html"
+    path.write_text(
+        page(scene, {HOSTILE: tracks(scene), "b": tracks(scene)}, name=HOSTILE, title=HOSTILE),
+        encoding="utf-8",
+    )
+    opened(browser, path)
+    browser.execute_script("player.choose('compare'); player.seek(6)")
+    settle(browser)
+    browser.execute_script(
+        "const d = player.data.truth, row = d.at[6].find((r) => d.ids[d.object[r]] === '11');"
+        "const p = player.camera.toScreen(d.x[row], d.y[row]);"
+        "player.hover(document.querySelector('.stage canvas'), 0, ...p)"
+    )
+    settle(browser)
+    assert HOSTILE.split("\u2028")[0] in browser.find_element("css selector", ".tip").text
+    assert browser.find_elements("css selector", "img, b") == []
+    assert browser.title.startswith("Report on <img")
+    assert complaints(browser) == []
+
+
+def test_a_foreign_script_does_not_run(browser, plain_page, tmp_path):
+    """The policy itself, not only the escaping: a script that got in is refused."""
+    path = tmp_path / "injected.html"
+    text = plain_page.read_text(encoding="utf-8")
+    path.write_text(text.replace("<main>", "<main><script>document.title='broken'</script>"))
+    opened(browser, path)
+    assert browser.title != "broken"
+    assert any("Content Security Policy" in entry["message"] for entry in complaints(browser))
+
+
+def test_narrow_screens_do_not_scroll_sideways(browser, plain_page):
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True},
+    )
+    try:
+        opened(browser, plain_page)
+        width = browser.execute_script("return document.documentElement.scrollWidth")
+        assert width <= 390
+        assert complaints(browser) == []
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_empty_recordings_and_no_tracks_are_shown(browser, tmp_path):
+    from pmbm.types import Tracks, TrackSequence
+
+    scene = recording(frames=5, detections=(), frame=[], origin=None)
+    none = TrackSequence(steps=tuple(Tracks.empty(0.1 * k) for k in range(5)), frame=range(5))
+    path = tmp_path / "empty.html"
+    path.write_text(page(scene, {"silent": none}), encoding="utf-8")
+    opened(browser, path)
+    assert complaints(browser) == []
+    assert browser.find_element("css selector", ".caption").text == "0 tracks · 5 missed · 0 false"
