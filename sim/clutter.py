@@ -1,0 +1,231 @@
+"""Boxes that come from no object: a Poisson number a frame, and some that stay at a place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Annotated, Final
+
+import numpy as np
+
+from pmbm.errors import InputError
+from pmbm.geometry import wrap_angle
+from pmbm.labels import Label
+from pmbm.types import CLUTTER, FloatArray, IntArray, Site
+from sim.boxes import Boxes, concatenate, in_view, polar
+from sim.knobs import (
+    NO_UNKNOWN_KEYS,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SHARE,
+    Bound,
+    Curve,
+    NamedLabel,
+    NumberOrCurve,
+    check_bounds,
+)
+from sim.scene import Scene
+from sim.streams import Purpose, Streams, beta, normal
+
+TYPICAL_SIZE: Final = {
+    Label.CAR: (4.4, 1.85, 1.6),
+    Label.TRUCK: (9.0, 2.5, 3.5),
+    Label.BUS: (11.0, 2.6, 3.2),
+    Label.MOTORCYCLIST: (2.1, 0.8, 1.6),
+    Label.CYCLIST: (1.8, 0.65, 1.7),
+    Label.PEDESTRIAN: (0.7, 0.65, 1.75),
+    Label.OTHER: (2.0, 1.5, 1.6),
+}
+"""Length, width, height, m, about which the sizes of false boxes lie."""
+_SIZE_SPREAD = 0.1
+_SMALLEST_SIZE = 0.2
+
+_BLOCK = 16
+_CELL = 40.0
+_CELLS_A_SIDE = 2**20
+
+
+def _cars() -> Mapping[Label, float]:
+    return {Label.CAR: 1.0}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClutterModel:
+    """False boxes.
+
+    rate : mean number a frame, over the whole field of view.
+    persistent_share : of the mean number, the share that belongs to fixed places in the world;
+        the rest appears anywhere, anew in every frame.
+    persistent_detection : probability that a place in view gives a box in a frame.
+    persistent_noise : standard deviation of such a box about its place, x and y, m.
+    labels : relative frequency of each label.
+    range_profile : curve over range (m): relative density per square metre.
+    score_mean : mean of the confidence, a Beta variable.
+    score_concentration : sum of both shapes of the Beta; larger is narrower.
+    """
+
+    rate: Annotated[float, NOT_NEGATIVE] = 0.0
+    persistent_share: Annotated[float, SHARE] = 0.0
+    persistent_detection: Annotated[float, Bound(most=1.0, above=0.0)] = 0.8
+    persistent_noise: Annotated[float, NOT_NEGATIVE] = 0.3
+    labels: Annotated[Mapping[NamedLabel, float], NOT_NEGATIVE] = field(default_factory=_cars)
+    range_profile: Annotated[NumberOrCurve, NOT_NEGATIVE] = field(
+        default_factory=lambda: Curve.constant(1.0)
+    )
+    score_mean: Annotated[float, SHARE] = 0.3
+    score_concentration: Annotated[float, POSITIVE] = 6.0
+
+    def __post_init__(self) -> None:
+        ordered = {Label(label): float(self.labels[label]) for label in sorted(self.labels)}
+        object.__setattr__(self, "labels", MappingProxyType(ordered))
+        check_bounds(self)
+        for name, weights in (
+            ("labels", list(ordered.values())),
+            ("range_profile", list(self.range_profile.value)),
+        ):
+            if not any(weight > 0 for weight in weights):
+                raise InputError(
+                    f"impossible {name}", field=name, expected="a value above 0", got=weights
+                )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Mapping proxies do not pickle.
+        values = {**self.__dict__, "labels": dict(self.labels)}
+        return _make_clutter_model, (values,)
+
+
+ClutterModel.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]
+
+
+def clutter(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
+    """All false boxes of a scene, in the world."""
+    fleeting = _fleeting(model, scene, streams)
+    if model.rate * model.persistent_share == 0:
+        return fleeting
+    return concatenate([fleeting, _persistent(model, scene, streams)])
+
+
+def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
+    """A Poisson number of boxes a frame, over the field of view.
+
+    The candidates of a frame come at the points of a Poisson process of unit intensity along the
+    axis of the rate, and those below the rate are there: a higher rate only adds boxes.
+    """
+    rate = model.rate * (1.0 - model.persistent_share)
+    reached = np.zeros(len(scene))
+    frames, marks = [np.zeros(0, np.int64)], [np.zeros((0, 9))]
+    block = 0
+    while len(scene) and reached.min() < rate:
+        draws = streams.uniforms(Purpose.CLUTTER, len(scene), 9 * _BLOCK, block)
+        draws = draws.reshape(len(scene), _BLOCK, 9)
+        level = reached[:, None] + np.cumsum(-np.log(draws[..., 0]), axis=1)
+        frame, mark = np.nonzero(level < rate)
+        frames.append(frame)
+        marks.append(draws[frame, mark])
+        reached = level[:, -1]
+        block += 1
+    frame = np.concatenate(frames)
+    _, along, around, yaw, label, *size, score = np.concatenate(marks).T
+    pose = scene.sensor_pose[frame]
+    distance = _range_quantile(model.range_profile, scene.site, along)
+    bearing = pose[:, 2] + scene.site.fov_centre + scene.site.fov_half_angle * (2 * around - 1)
+    centre = pose[:, :2] + distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    return _false_boxes(model, frame, centre, 2 * np.pi * yaw - np.pi, label, size, score)
+
+
+def _persistent(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
+    """Boxes about fixed places of the world, wherever the field of view meets them.
+
+    The places of each square cell of the world are the points of one process that a higher density
+    only adds to, so that they stay where they are whatever the sensor's path.
+    """
+    site = scene.site
+    area = site.fov_half_angle * site.max_range**2
+    per_cell = _CELL**2 * model.rate * model.persistent_share / (area * model.persistent_detection)
+    parts = [Boxes.none()]
+    for column, row in _cells(scene):
+        cell = (column + _CELLS_A_SIDE // 2) * _CELLS_A_SIDE + row + _CELLS_A_SIDE // 2
+        for number, place in enumerate(_places(per_cell, streams, cell)):
+            centre = _CELL * (np.array([column, row]) + place[1:3])
+            distance, bearing = polar(np.broadcast_to(centre, (len(scene), 2)), scene.sensor_pose)
+            draws = streams.uniforms(Purpose.PLACE_SEEN, len(scene), 5, cell * 2**20 + number)
+            frame = np.flatnonzero(
+                in_view(site, distance, bearing - scene.sensor_pose[:, 2])
+                & (draws[:, 0] < model.persistent_detection)
+            )
+            noise = normal(draws[frame, 1:4])
+            parts.append(
+                _false_boxes(
+                    model,
+                    frame,
+                    centre + model.persistent_noise * noise[:, :2],
+                    wrap_angle(2 * np.pi * place[3] - np.pi + 0.1 * noise[:, 2]),
+                    np.full(len(frame), place[4]),
+                    [np.full(len(frame), draw) for draw in place[5:8]],
+                    draws[frame, 4],
+                )
+            )
+    return concatenate(parts)
+
+
+def _cells(scene: Scene) -> Iterator[tuple[int, int]]:
+    """The cells of the world that the field of view may meet."""
+    at = np.unique(np.floor(scene.sensor_pose[:, :2] / _CELL).astype(np.int64), axis=0)
+    reach = int(np.ceil(scene.site.max_range / _CELL))
+    step = np.arange(-reach, reach + 1)
+    around = np.stack(np.meshgrid(step, step, indexing="ij"), axis=-1).reshape(-1, 2)
+    cells = np.unique((at[:, None] + around).reshape(-1, 2), axis=0)
+    return ((int(column), int(row)) for column, row in cells)
+
+
+def _places(per_cell: float, streams: Streams, cell: int) -> FloatArray:
+    """Marks (P,8) of the places of one cell, of which there are `per_cell` on average."""
+    count = 4
+    while True:
+        marks = streams.uniforms(Purpose.PLACE, count, 8, cell)
+        level = np.cumsum(-np.log(marks[:, 0]))
+        if level[-1] >= per_cell:
+            return marks[level < per_cell]
+        count *= 2
+
+
+def _range_quantile(profile: Curve, site: Site, share: FloatArray) -> FloatArray:
+    """Distances (R,) within which these shares (R,) of the clutter lie."""
+    if len(set(profile.value)) == 1:
+        return site.max_range * np.sqrt(share)
+    edge = np.linspace(0.0, site.max_range, 513)
+    middle = (edge[1:] + edge[:-1]) / 2
+    mass = np.concatenate([[0.0], np.cumsum(profile(middle) * middle)])
+    return np.interp(share * mass[-1], mass, edge)
+
+
+def _false_boxes(
+    model: ClutterModel,
+    frame: IntArray,
+    centre: FloatArray,
+    yaw: FloatArray,
+    label_draw: FloatArray,
+    size_draws: list[FloatArray],
+    score_draw: FloatArray,
+) -> Boxes:
+    labels = np.array([int(label) for label in model.labels])
+    cumulative = np.cumsum(list(model.labels.values()))
+    label = labels[np.searchsorted(cumulative, label_draw * cumulative[-1], side="right")]
+    typical = np.array([TYPICAL_SIZE[Label(value)] for value in Label])[label]
+    size = np.maximum(
+        typical * (1 + _SIZE_SPREAD * normal(np.stack(size_draws, axis=1))), _SMALLEST_SIZE
+    )
+    return Boxes(
+        frame=frame,
+        origin=np.full(len(frame), CLUTTER),
+        position=np.concatenate([centre, size[:, 2:] / 2], axis=1),
+        size=size,
+        yaw=yaw,
+        score=beta(score_draw, np.full(len(frame), model.score_mean), model.score_concentration),
+        label=label,
+    )
+
+
+def _make_clutter_model(values: dict[str, object]) -> ClutterModel:
+    return ClutterModel(**values)  # type: ignore[arg-type]

@@ -1,0 +1,195 @@
+"""What a knob of the detector model can be: a bounded number, or a curve over range or visibility.
+
+Bounds stand once, in the annotation of the field; they are checked where a value is made and they
+show in the JSON Schema.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any, Final, get_type_hints
+
+import numpy as np
+
+from pmbm.errors import InputError, nearest_hint
+from pmbm.labels import Label
+from pmbm.types import FloatArray
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Closed bounds of a number, or of every value of a curve; `above` is an open lower bound."""
+
+    least: float = -np.inf
+    most: float = np.inf
+    above: float = -np.inf
+
+    def holds(self, number: float) -> bool:
+        return self.least <= number <= self.most and number > self.above and np.isfinite(number)
+
+    def __str__(self) -> str:
+        if np.isfinite(self.above):
+            low = f"above {self.above:g}"
+        elif np.isfinite(self.least):
+            low = f"at least {self.least:g}"
+        else:
+            low = "finite"
+        return low + (f" and at most {self.most:g}" if np.isfinite(self.most) else "")
+
+    def __get_pydantic_json_schema__(
+        self, schema: Any, handler: Callable[[Any], dict[str, Any]]
+    ) -> dict[str, Any]:
+        described = handler(schema)
+        if described.get("type") in ("number", "integer"):
+            for keyword, limit in (
+                ("minimum", self.least),
+                ("maximum", self.most),
+                ("exclusiveMinimum", self.above),
+            ):
+                if np.isfinite(limit):
+                    described[keyword] = limit
+        return described
+
+
+SHARE = Bound(0.0, 1.0)
+NOT_NEGATIVE = Bound(0.0)
+POSITIVE = Bound(above=0.0)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A quantity that changes piecewise linearly with another, and is constant beyond the ends.
+
+    at : where it is known, strictly increasing (metres for range, shares for visibility).
+    value : what it is there.  A file may give one number instead: the same everywhere.
+    """
+
+    at: tuple[float, ...]
+    value: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "at", tuple(float(x) for x in self.at))
+        object.__setattr__(self, "value", tuple(float(x) for x in self.value))
+        if not self.at or len(self.at) != len(self.value):
+            raise InputError(
+                "a curve needs as many values as places",
+                field="value",
+                expected=f"{len(self.at) or 'one or more'} numbers",
+                got=len(self.value),
+            )
+        if not np.isfinite([*self.at, *self.value]).all() or np.any(np.diff(self.at) <= 0):
+            raise InputError(
+                "a curve's places must increase",
+                field="at",
+                expected="strictly increasing finite numbers",
+                got=list(self.at),
+            )
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """The values at x, of the same shape."""
+        return np.interp(x, self.at, self.value)
+
+    @classmethod
+    def constant(cls, value: float) -> Curve:
+        """The same everywhere."""
+        return cls(at=(0.0,), value=(value,))
+
+    def plain(self) -> float | dict[str, list[float]]:
+        """As a file says it."""
+        if len(set(self.value)) == 1:
+            return self.value[0]
+        return {"at": list(self.at), "value": list(self.value)}
+
+
+NO_UNKNOWN_KEYS: Final = {"extra": "forbid"}
+"""How files are read into these dataclasses."""
+Curve.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]
+
+
+class _AlsoNumber:
+    """Lets a file give a curve as one number."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_wrap_validator_function(_number_or_table, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: Any, handler: Callable[[Any], dict[str, Any]]
+    ) -> dict[str, Any]:
+        return {"anyOf": [{"type": "number"}, handler(schema)]}
+
+
+NumberOrCurve = Annotated[Curve, _AlsoNumber()]
+"""A curve that files may also give as one number."""
+
+
+def label_named(name: object) -> Label:
+    """The label of a lower-case name, as files write it.
+
+    Raises InputError with the nearest valid name.
+    """
+    for label in Label:
+        if name == label.name.lower():
+            return label
+    names = [label.name.lower() for label in Label]
+    raise InputError("unknown label", got=name, hint=nearest_hint(name, names, "label"))
+
+
+class _ByName:
+    """Reads a label from its name in a file."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_plain_validator_function(label_named)
+
+    def __get_pydantic_json_schema__(
+        self, schema: Any, handler: Callable[[Any], dict[str, Any]]
+    ) -> dict[str, Any]:
+        return {"type": "string", "enum": [label.name.lower() for label in Label]}
+
+
+NamedLabel = Annotated[Label, _ByName()]
+"""A label that files give by its name."""
+
+
+def check_bounds(knobs: Any) -> None:
+    """Refuse a dataclass one of whose annotated bounds does not hold.
+
+    Raises InputError with the field's name.
+    """
+    kind: type = type(knobs)
+    for name, bound in _bounds(kind).items():
+        given = getattr(knobs, name)
+        if isinstance(given, Curve):
+            numbers: list[Any] = list(given.value)
+        elif isinstance(given, Mapping):
+            numbers = list(given.values())
+        else:
+            numbers = [given]
+        for number in numbers:
+            if not bound.holds(number):
+                raise InputError(f"impossible {name}", field=name, expected=str(bound), got=number)
+
+
+@cache
+def _bounds(kind: type) -> dict[str, Bound]:
+    hints = get_type_hints(kind, include_extras=True)
+    return {
+        name: extra
+        for name in hints
+        for extra in getattr(hints[name], "__metadata__", ())
+        if isinstance(extra, Bound)
+    }
+
+
+def _number_or_table(given: Any, read_table: Callable[[Any], Curve]) -> Curve:
+    if isinstance(given, int | float) and not isinstance(given, bool):
+        return Curve.constant(given)
+    if isinstance(given, dict):
+        # Strict reading, once it went through Python, takes a list for no tuple.
+        given = {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
+    return read_table(given)

@@ -1,0 +1,175 @@
+"""How a detector sees the objects that are there: missed, displaced, misjudged, doubled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmbm.geometry import wrap_angle
+from pmbm.types import FloatArray
+from sim.boxes import Boxes, Targets
+from sim.knobs import (
+    NO_UNKNOWN_KEYS,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SHARE,
+    Bound,
+    Curve,
+    NumberOrCurve,
+    check_bounds,
+)
+from sim.streams import Purpose, Streams, beta, normal
+
+_SMALLEST_SHARE_OF_SIZE = 0.2
+"""Noise never makes a box smaller than this share of the object."""
+
+
+_ZERO = Curve.constant(0.0)
+_ONE = Curve.constant(1.0)
+_SURE = Curve.constant(0.99)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectModel:
+    """How objects of one label are detected.  Every curve is over range (m) unless it says so.
+
+    detection_probability : of an object in full view.
+    visibility_factor : curve over the visible share; multiplies the detection probability.
+    miss_burst_length : frames; mean length of a run of misses, at an unchanged share of misses.
+        1 gives independent misses, and so does all that is shorter than their mean run.
+    radial_noise, lateral_noise, vertical_noise : standard deviation of the centre along the line
+        of sight, across it, and upward, m.
+    position_noise_scale : multiplies the three.
+    hidden_noise : how much more the centre errs when hidden: the three are multiplied by
+        1 + hidden_noise * (1 - visible share).
+    size_bias : mean relative error of length and width; -0.1 is a tenth too small.
+    hidden_size_bias : the same, more of it the less is visible: times (1 - visible share).
+    near_side_anchor : how far the centre moves toward the visible side when the bias shrinks the
+        box: 0 keeps the centre, 1 keeps the corner nearest to the sensor.
+    length_noise, width_noise, height_noise : standard deviation, m.
+    yaw_noise : standard deviation, rad.
+    flip_probability : of a heading turned by pi.
+    score_mean : mean of the confidence, a Beta variable.
+    hidden_score_loss : share of the mean confidence lost when hidden: times (1 - visible share).
+    score_concentration : sum of both shapes of the Beta; larger is narrower.
+    """
+
+    detection_probability: Annotated[NumberOrCurve, SHARE] = _ONE
+    visibility_factor: Annotated[NumberOrCurve, SHARE] = _ONE
+    miss_burst_length: Annotated[float, Bound(1.0)] = 1.0
+    radial_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
+    lateral_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
+    vertical_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
+    position_noise_scale: Annotated[float, NOT_NEGATIVE] = 1.0
+    hidden_noise: Annotated[float, NOT_NEGATIVE] = 0.0
+    size_bias: Annotated[float, Bound(-0.8, 4.0)] = 0.0
+    hidden_size_bias: Annotated[float, Bound(-0.8, 4.0)] = 0.0
+    near_side_anchor: Annotated[float, SHARE] = 0.0
+    length_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
+    width_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
+    height_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
+    yaw_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
+    flip_probability: Annotated[float, SHARE] = 0.0
+    score_mean: Annotated[NumberOrCurve, SHARE] = _SURE
+    hidden_score_loss: Annotated[float, SHARE] = 0.0
+    score_concentration: Annotated[float, POSITIVE] = 100.0
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    def probability(self, distance: FloatArray, visibility: FloatArray) -> FloatArray:
+        """Detection probability (R,) at distances (R,) and visible shares (R,)."""
+        return self.detection_probability(distance) * self.visibility_factor(visibility)
+
+    def position_noise(self, distance: FloatArray, visibility: FloatArray) -> FloatArray:
+        """Standard deviations (R,3), radial, lateral, vertical, m."""
+        curves = (self.radial_noise, self.lateral_noise, self.vertical_noise)
+        at_range = np.stack([curve(distance) for curve in curves], axis=1)
+        hidden = 1.0 + self.hidden_noise * (1.0 - visibility)
+        return self.position_noise_scale * hidden[:, None] * at_range
+
+
+ObjectModel.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]
+
+
+def sense(model: ObjectModel, seen: Targets, streams: Streams) -> Boxes:
+    """The boxes of those targets, all of one label, that are detected."""
+    seen = seen.take(_detected(model, seen, streams))
+    size, shift = _biased_size(model, seen)
+    position = seen.position + shift + _position_error(model, seen, streams)
+    return Boxes(
+        frame=seen.frame,
+        origin=seen.row,
+        position=position,
+        size=np.maximum(
+            size + _size_error(model, seen, streams), _SMALLEST_SHARE_OF_SIZE * seen.size
+        ),
+        yaw=_yaw(model, seen, streams),
+        score=_score(model, seen, streams),
+        label=seen.label,
+    )
+
+
+def _detected(model: ObjectModel, seen: Targets, streams: Streams) -> NDArray[np.bool_]:
+    """Which rows are detected (R,): a latent uniform of the object lies below its probability.
+
+    For bursts the object keeps its latent value from frame to frame and renews it with the
+    probability that gives misses their mean length; being uniform whenever it is looked at, it
+    leaves the share of misses as it was.
+    """
+    probability = model.probability(seen.distance, seen.visibility)
+    members = seen.members
+    latent = members.uniforms(streams, Purpose.MISS, 1)[:, 0]
+    if model.miss_burst_length > 1.0:
+        keep = 1.0 - 1.0 / np.maximum(model.miss_burst_length * probability, 1.0)
+        renewed = members.uniforms(streams, Purpose.BURST, 1)[:, 0] >= keep
+        for _, rows in members:
+            latest = np.where(renewed[rows], np.arange(len(rows)), 0)
+            latent[rows] = latent[rows][np.maximum.accumulate(latest)]
+    detected: NDArray[np.bool_] = latent < probability
+    return detected
+
+
+def _position_error(model: ObjectModel, seen: Targets, streams: Streams) -> FloatArray:
+    """Errors of the centre (R,3) in the world, drawn along and across the line of sight."""
+    draws = normal(seen.members.uniforms(streams, Purpose.POSITION, 3))
+    along, across, up = (draws * model.position_noise(seen.distance, seen.visibility)).T
+    cos, sin = np.cos(seen.bearing), np.sin(seen.bearing)
+    return np.stack([along * cos - across * sin, along * sin + across * cos, up], axis=1)
+
+
+def _biased_size(model: ObjectModel, seen: Targets) -> tuple[FloatArray, FloatArray]:
+    """Sizes (R,3) after bias, and how the centre moves (R,3) to keep the visible side in place."""
+    factor = 1.0 + model.size_bias + model.hidden_size_bias * (1.0 - seen.visibility)
+    factor = np.maximum(factor, _SMALLEST_SHARE_OF_SIZE)
+    size = seen.size * np.stack([factor, factor, np.ones_like(factor)], axis=1)
+    toward_sensor = seen.bearing + np.pi - seen.yaw
+    side = np.sign(np.stack([np.cos(toward_sensor), np.sin(toward_sensor)], axis=1))
+    local = model.near_side_anchor * side * (seen.size - size)[:, :2] / 2
+    cos, sin = np.cos(seen.yaw), np.sin(seen.yaw)
+    x = local[:, 0] * cos - local[:, 1] * sin
+    y = local[:, 0] * sin + local[:, 1] * cos
+    return size, np.stack([x, y, np.zeros_like(x)], axis=1)
+
+
+def _size_error(model: ObjectModel, seen: Targets, streams: Streams) -> FloatArray:
+    draws = normal(seen.members.uniforms(streams, Purpose.SIZE, 3))
+    curves = (model.length_noise, model.width_noise, model.height_noise)
+    return draws * np.stack([curve(seen.distance) for curve in curves], axis=1)
+
+
+def _yaw(model: ObjectModel, seen: Targets, streams: Streams) -> FloatArray:
+    noise, flip = seen.members.uniforms(streams, Purpose.HEADING, 2).T
+    yaw = seen.yaw + model.yaw_noise(seen.distance) * normal(noise)
+    return wrap_angle(np.where(flip < model.flip_probability, yaw + np.pi, yaw))
+
+
+def _score(model: ObjectModel, seen: Targets, streams: Streams) -> FloatArray:
+    draws = seen.members.uniforms(streams, Purpose.SCORE, 1)[:, 0]
+    mean = model.score_mean(seen.distance) * (
+        1.0 - model.hidden_score_loss * (1.0 - seen.visibility)
+    )
+    return beta(draws, mean, model.score_concentration)

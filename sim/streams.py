@@ -1,0 +1,105 @@
+"""Keyed random streams: every draw has its own place, so that nothing moves anything else.
+
+There is one generator per (seed, trial, purpose, object).  It gives a fixed number of uniforms per
+frame, all frames at once, and the row is the frame's number.  Each quantity is mapped from its own
+uniforms by the inverse of its distribution function.  So one knob, one object or one clutter box
+more changes no other draw, and two configurations that are run over the same seed and trial share
+their luck (common random numbers).
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from pmbm.types import FloatArray, IntArray
+
+_SMALLEST = 2.0**-54
+"""Uniforms are kept above zero, so that every inverse distribution function is finite."""
+
+
+class Purpose(enum.IntEnum):
+    """What a stream is for; the numbers are part of every recording's identity."""
+
+    TRAFFIC = 0
+    MISS = 1
+    BURST = 2
+    POSITION = 3
+    SIZE = 4
+    HEADING = 5
+    SCORE = 6
+    CLUTTER = 7
+    DUPLICATE = 8
+    LABEL = 9
+    DROPOUT = 10
+    EGO_POSE = 11
+    PLACE = 12
+    PLACE_SEEN = 13
+
+
+@dataclass(frozen=True)
+class Streams:
+    """All random streams of one trial.
+
+    seed : of the study, or given to `record`.
+    trial : number of the trial; `record(seed)` is trial 0.
+    """
+
+    seed: int
+    trial: int = 0
+
+    def generator(self, purpose: Purpose, object_id: int = 0) -> np.random.Generator:
+        """The generator of one purpose and object."""
+        key = (self.trial, int(purpose), int(object_id) % 2**64)
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+
+    def uniforms(self, purpose: Purpose, frames: int, width: int, object_id: int = 0) -> FloatArray:
+        """Uniforms (frames, width) in (0, 1) of one purpose and object, one row a frame."""
+        draws = self.generator(purpose, object_id).random((frames, width))
+        return np.maximum(draws, _SMALLEST)
+
+
+@dataclass(frozen=True, eq=False)
+class Members:
+    """Which rows of a flat table belong to which object.
+
+    frame (R,) : absolute frame of each row, ascending within an object.
+    object_id (R,) : whose row it is.
+    """
+
+    frame: IntArray
+    object_id: IntArray
+
+    def __iter__(self) -> Iterator[tuple[int, IntArray]]:
+        """Each object's id and its rows, in order of frames."""
+        order = np.argsort(self.object_id, kind="stable")
+        ids, start = np.unique(self.object_id[order], return_index=True)
+        return zip(ids.tolist(), np.split(order, start[1:]), strict=False)
+
+    def uniforms(self, streams: Streams, purpose: Purpose, width: int) -> FloatArray:
+        """Uniforms (R, width) in (0, 1): every row has those of its object and frame."""
+        draws = np.empty((len(self.frame), width))
+        for object_id, rows in self:
+            frames = self.frame[rows]
+            table = streams.uniforms(purpose, int(frames[-1]) + 1, width, object_id)
+            draws[rows] = table[frames]
+        return draws
+
+
+def normal(uniform: FloatArray) -> FloatArray:
+    """Standard normal values by inverse distribution function."""
+    value: FloatArray = special.ndtri(uniform)
+    return value
+
+
+def beta(uniform: FloatArray, mean: FloatArray, concentration: float) -> FloatArray:
+    """Beta values by inverse distribution function; `concentration` is the sum of both shapes."""
+    mean = np.clip(mean, 1e-6, 1 - 1e-6)
+    value: FloatArray = special.betaincinv(
+        mean * concentration, (1 - mean) * concentration, uniform
+    )
+    return value

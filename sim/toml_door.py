@@ -1,0 +1,87 @@
+"""TOML files and their tables, read into dataclasses: the one place where they are judged."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from pmbm.errors import InputError, nearest_hint
+
+_T = TypeVar("_T")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The document in a TOML file.
+
+    Raises InputError, with the line, where it cannot be read.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read it: {error.strerror}", file=path) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"not TOML: {error}", file=path) from error
+
+
+def validated(kind: type[_T], table: Any, *, file: object = None) -> _T:
+    """A dataclass of this kind from the document or table of a file.
+
+    Raises InputError naming file and dotted key, with the nearest valid name for an unknown key.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        # Only the strict JSON mode takes tables for dataclasses and yet no text for numbers.
+        return TypeAdapter(kind).validate_json(json.dumps(table, default=str), strict=True)
+    except ValidationError as failure:
+        # Unknown keys first: a mistyped key is also a missing one.
+        error = min(failure.errors(), key=lambda e: e["type"] != "unexpected_keyword_argument")
+    place = [str(part) for part in error["loc"] if part != "[key]"]
+    cause = error.get("ctx", {}).get("error")
+    if isinstance(cause, InputError):
+        if cause.field:
+            place.append(cause.field)
+        raise cause.located(file=file, field=".".join(place))
+    key = ".".join(place)
+    if error["type"] == "unexpected_keyword_argument":
+        valid = [f.name for f in fields(_kind_at(kind, place[:-1]))]
+        raise InputError(
+            "unknown key", file=file, field=key, hint=nearest_hint(place[-1], valid, "key")
+        )
+    if error["type"] == "missing":
+        raise InputError("missing key", file=file, field=key)
+    problem = error["msg"][0].lower() + error["msg"][1:]
+    raise InputError(problem, file=file, field=key, got=error["input"])
+
+
+def table_of(document: Mapping[str, Any], *path: str, file: object = None) -> dict[str, Any]:
+    """The table at that path, empty where there is none.
+
+    Raises InputError where something else than a table is there.
+    """
+    table: Any = document
+    for depth, key in enumerate(path, start=1):
+        table = table.get(key, {})
+        if not isinstance(table, Mapping):
+            raise InputError(
+                "not a table",
+                file=file,
+                field=".".join(path[:depth]),
+                expected="a table",
+                got=table,
+            )
+    return dict(table)
+
+
+def _kind_at(kind: Any, place: Sequence[str]) -> Any:
+    """The dataclass that is expected at that place inside a dataclass."""
+    for part in place:
+        if is_dataclass(kind):
+            kind = get_type_hints(kind)[part]
+        else:
+            kind = get_args(kind)[-1]
+    return kind
