@@ -8,12 +8,19 @@ Solutions come by cost, equal costs by their columns read from the first row on.
 straddle the k-th place, which of them are returned is fixed but not specified.  Costs nearer to one
 another than rounding allows (about 1e-15 of the largest finite cost, times R) count as equal when
 it comes to that place.
+
+Two kernels do the work: a compiled one, `pmbm._native`, where the install could build it, and the
+plain one of `pmbm.assignment.reference`.  They take the same problems and give the same answers up
+to what is said above about equal costs.  PMBM_NO_NATIVE=1 in the environment chooses the plain one.
 """
 
 from __future__ import annotations
 
+import importlib
+import os
 from collections.abc import Sequence
-from typing import Final
+from types import ModuleType
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,13 +28,15 @@ from numpy.typing import ArrayLike, NDArray
 from pmbm.assignment import reference
 from pmbm.errors import InputError
 
-__all__ = ["LARGEST_COST", "Solutions", "k_best", "k_best_batch", "optimal"]
+__all__ = ["LARGEST_COST", "Solutions", "k_best", "k_best_batch", "kernel", "optimal"]
 
 Solutions = tuple[NDArray[np.int32], NDArray[np.float64]]
 """columns (n, R), the cheapest first, and their costs (n,)."""
 
 LARGEST_COST: Final = 1e100
 """Finite costs lie within +-LARGEST_COST, so that no sum of them overflows."""
+
+_LARGEST_K: Final = 2**62
 
 
 def optimal(cost: ArrayLike) -> tuple[NDArray[np.int32], float]:
@@ -71,35 +80,74 @@ def k_best_batch(costs: Sequence[ArrayLike], ks: Sequence[int]) -> list[Solution
     """`k_best` of many independent problems in one call, in their order."""
     if len(costs) != len(ks):
         raise InputError("one k for each cost matrix", field="ks", expected=len(costs), got=len(ks))
-    return [
-        reference.k_best(_checked(cost, problem), _checked_k(k, problem))
-        for problem, (cost, k) in enumerate(zip(costs, ks, strict=True))
-    ]
+    if not len(costs):
+        return []
+    matrices = [_matrix(cost, problem) for problem, cost in enumerate(costs)]
+    flat = np.concatenate([matrix.ravel() for matrix in matrices])
+    _check_costs(flat, matrices)
+    rows, widths = np.array([matrix.shape for matrix in matrices], dtype=np.int32).T.copy()
+    wanted = np.array([_checked_k(k, problem) for problem, k in enumerate(ks)], dtype=np.int64)
+    columns, totals, counts = _kernel.k_best(flat, rows, widths, wanted)
+    solutions = []
+    column, total = 0, 0
+    for height, count in zip(rows.tolist(), counts.tolist(), strict=True):
+        taken = columns[column : column + count * height].reshape(count, height)
+        solutions.append((taken, totals[total : total + count]))
+        column += count * height
+        total += count
+    return solutions
 
 
-def _checked(cost: ArrayLike, problem: int) -> NDArray[np.float64]:
+def kernel() -> Literal["compiled", "reference"]:
+    """Which of the two kernels runs."""
+    return "reference" if _kernel is reference else "compiled"
+
+
+def _choose() -> ModuleType:
+    if os.environ.get("PMBM_NO_NATIVE", "").lower() in ("", "0", "false", "no", "off"):
+        try:
+            return importlib.import_module("pmbm._native")
+        except ModuleNotFoundError:
+            # Installed where no compiler was: what the reference is for.
+            pass
+    return reference
+
+
+_kernel: ModuleType = _choose()
+
+
+def _matrix(cost: ArrayLike, problem: int) -> NDArray[np.float64]:
     try:
-        matrix = np.ascontiguousarray(cost, dtype=np.float64)
+        matrix = np.asarray(cost, dtype=np.float64)
     except (TypeError, ValueError):
         matrix = np.empty(0)
-    if matrix.ndim != 2 or np.ndim(cost) != 2:
+    if matrix.ndim != 2:
         raise InputError(
             f"problem {problem}: a cost matrix has rows and columns",
             field="cost",
             expected="numbers of shape (R, C)",
             got=f"shape {np.shape(cost)}" if isinstance(cost, np.ndarray) else cost,
         )
-    bad = ~((np.abs(matrix) <= LARGEST_COST) | (matrix == np.inf))
-    if bad.any():
-        rows = np.flatnonzero(bad.any(axis=1))
-        raise InputError(
-            f"problem {problem}: a cost that cannot be used",
-            field="cost",
-            rows=rows,
-            expected=f"numbers within +-{LARGEST_COST:g}, or inf for a forbidden pair",
-            got=matrix[bad][0],
-        )
     return matrix
+
+
+def _check_costs(flat: NDArray[np.float64], matrices: Sequence[NDArray[np.float64]]) -> None:
+    if _usable(flat).all():
+        return
+    for problem, matrix in enumerate(matrices):
+        bad = ~_usable(matrix)
+        if bad.any():
+            raise InputError(
+                f"problem {problem}: a cost that cannot be used",
+                field="cost",
+                rows=np.flatnonzero(bad.any(axis=1)),
+                expected=f"numbers within +-{LARGEST_COST:g}, or inf for a forbidden pair",
+                got=matrix[bad][0],
+            )
+
+
+def _usable(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return (np.abs(costs) <= LARGEST_COST) | (costs == np.inf)
 
 
 def _checked_k(k: int, problem: int) -> int:
@@ -107,4 +155,4 @@ def _checked_k(k: int, problem: int) -> int:
         raise InputError(
             f"problem {problem}: bad k", field="ks", expected="a whole number, 0 or more", got=k
         )
-    return int(k)
+    return min(int(k), _LARGEST_K)

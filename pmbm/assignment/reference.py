@@ -28,8 +28,33 @@ class _Node(NamedTuple):
     forbidden: frozenset[int]
 
 
-def k_best(cost: Matrix, k: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """The k cheapest assignments of a checked (R, C) cost matrix.
+def k_best(
+    cost: NDArray[np.float64],
+    rows: NDArray[np.int32],
+    widths: NDArray[np.int32],
+    ks: NDArray[np.int64],
+) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int64]]:
+    """Solve many problems whose matrices lie one after the other in `cost`.
+
+    Returns their solutions' columns and costs, one after the other, and the number of solutions of
+    each problem.  The compiled kernel has the same signature.
+    """
+    ends = np.cumsum(rows.astype(np.int64) * widths)[:-1]
+    solved = [
+        murty(part.reshape(height, width), k)
+        for part, height, width, k in zip(
+            np.split(cost, ends), rows.tolist(), widths.tolist(), ks.tolist(), strict=True
+        )
+    ]
+    return (
+        np.concatenate([columns.ravel() for columns, _ in solved]),
+        np.concatenate([costs for _, costs in solved]),
+        np.array([len(costs) for _, costs in solved], dtype=np.int64),
+    )
+
+
+def murty(cost: Matrix, k: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """The k cheapest assignments (n, R) of a checked (R, C) cost matrix, and their costs (n,).
 
     Taking the cheapest assignment out of its set leaves a set that falls into disjoint parts, one
     per row i: agree with it before i, differ from it in i.  Each part's cheapest member is again an

@@ -52,7 +52,9 @@ def _print_version(ctx: click.Context, _param: click.Parameter, value: bool) -> 
         return
     from importlib.metadata import version
 
-    click.echo(f"pmbm {version('pmbm')}")
+    from pmbm.assignment import kernel
+
+    click.echo(f"pmbm {version('pmbm')} ({kernel()} assignment kernel)")
     ctx.exit()
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pmbm.assignment import k_best
+
+pytestmark = pytest.mark.usefixtures("assignment_kernel")
 
 WHOLE = st.integers(-6, 6).map(float)
 

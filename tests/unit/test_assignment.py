@@ -11,6 +11,8 @@ from scipy.optimize import linear_sum_assignment
 from pmbm.assignment import LARGEST_COST, k_best, k_best_batch, optimal
 from pmbm.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("assignment_kernel")
+
 INF = np.inf
 
 
