@@ -1,0 +1,340 @@
+"""Scenarios: named worlds, as TOML files, that give a recording for a seed.
+
+The scene (truth alone) and the detector are two steps: everything that changes only the detector
+shares one scene.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pmbm.errors import InputError, nearest_hint
+from pmbm.geometry import corners
+from pmbm.provenance import provenance
+from pmbm.types import FloatArray, Recording, Site
+from sim import schema, scripted
+from sim.scene import Scene
+from sim.streams import Streams
+from sim.toml_door import read_toml
+from sim.trajectory import GROUP, Trajectory, to_scene
+
+if TYPE_CHECKING:
+    from sim.detector import DetectorModel
+
+_SCENE_KEYS = ("duration", "rate", "simulation_rate", "warmup", "scene")
+"""The keys of a scenario's document that its truth depends on; the rest concerns the detector."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A world that can be recorded: a `Source` (it has `name` and `record`).
+
+    document : the scenario's file as plain values, valid at every level of its sweep.
+    file : where it came from, for messages.
+    """
+
+    document: Mapping[str, Any]
+    file: str | None = None
+    form: schema.ScenarioForm = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        form = schema.parse(dict(self.document), self.file)
+        object.__setattr__(self, "form", form)
+        _check_clock(form, self.file)
+        if form.sweep is not None:
+            _check_sweep(form, self.document, self.file)
+            for level in form.sweep.levels:
+                at_level = schema.parse(self._document_at(level), self.file)
+                _check_clock(at_level, self.file)
+        self.detector()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Scenario, (dict(self.document), self.file)
+
+    @property
+    def name(self) -> str:
+        return self.form.name
+
+    @property
+    def stresses(self) -> str:
+        return self.form.stresses
+
+    @property
+    def levels(self) -> tuple[Any, ...]:
+        """The levels of the sweep, the null level first; empty without a sweep."""
+        return () if self.form.sweep is None else tuple(self.form.sweep.levels)
+
+    @property
+    def default_level(self) -> Any:
+        """The level of a plain run: None without a sweep."""
+        sweep = self.form.sweep
+        if sweep is None:
+            return None
+        return sweep.levels[0] if sweep.default is None else sweep.default
+
+    def record(self, seed: int, trial: int = 0, level: Any = None) -> Recording:
+        """The truth of one run and what the detector delivers of it.
+
+        level : one of `levels`; None is `default_level`.
+        Raises InputError for an unknown level or a seed that is not a whole number >= 0.
+        """
+        return self.detector(level).detect(self.scene(seed, trial, level), seed, trial)
+
+    def scene(self, seed: int, trial: int = 0, level: Any = None) -> Scene:
+        """The truth alone."""
+        check_seed(seed, trial)
+        document = self._document_at(self._level(level))
+        key = json.dumps({k: document[k] for k in _SCENE_KEYS if k in document}, sort_keys=True)
+        return _scene(key, self.name, int(seed), int(trial))
+
+    def detector(self, level: Any = None) -> DetectorModel:
+        """The detector model at a level."""
+        from sim.detector import load_profile
+
+        table = dict(self._document_at(self._level(level)).get("detector", {}))
+        profile = table.pop("profile", "nominal")
+        try:
+            return load_profile(profile, table)
+        except InputError as error:
+            raise error.located(file=error.file or self.file) from None
+
+    def base(self) -> Scenario:
+        """The same file without its sweep: the factor is off, as written."""
+        return Scenario({k: v for k, v in self.document.items() if k != "sweep"}, self.file)
+
+    def _level(self, level: Any) -> Any:
+        if level is None:
+            return self.default_level
+        if level not in self.levels:
+            raise InputError(
+                f"scenario '{self.name}' has no such level",
+                expected=", ".join(map(str, self.levels)) or "no level: it sweeps nothing",
+                got=level,
+            )
+        return level
+
+    def _document_at(self, level: Any) -> dict[str, Any]:
+        """The document with the swept keys set to their values at a level."""
+        document = copy.deepcopy({k: v for k, v in self.document.items() if k != "sweep"})
+        sweep = self.form.sweep
+        if sweep is None or level is None:
+            return document
+        index = sweep.levels.index(level)
+        columns = sweep.set or {sweep.parameter: sweep.levels}
+        for key, values in columns.items():
+            table = document
+            *path, last = key.split(".")
+            for part in path:
+                table = table.setdefault(part, {})
+            table[last] = values[index]
+        return document
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """The scenario of that name in the catalogue, or in that TOML file.
+
+    Raises InputError with the nearest valid name, or with the file and key that is wrong.
+    """
+    text = str(name_or_path)
+    path = Path(text)
+    if not (text.endswith(".toml") or "/" in text or "\\" in text):
+        names = scenario_names()
+        if text not in names:
+            raise InputError(f"no scenario '{text}'", hint=nearest_hint(text, names, "scenario"))
+        path = catalogue_folder() / f"{text}.toml"
+    return Scenario(read_toml(path), str(path))
+
+
+def scenario_names() -> tuple[str, ...]:
+    """The names in the catalogue, sorted."""
+    return tuple(sorted(path.stem for path in catalogue_folder().glob("*.toml")))
+
+
+def catalogue_folder() -> Path:
+    """Where the catalogue's files are: beside this package where it is installed, and in the
+    repository where it is installed for editing."""
+    from importlib.resources import files
+
+    installed = Path(str(files("sim"))) / "scenarios"
+    for folder in (installed, Path(__file__).resolve().parent.parent / "scenarios"):
+        if any(folder.glob("*.toml")):
+            return folder
+    raise InputError("the catalogue of scenarios is missing", expected=installed)
+
+
+def check_seed(seed: int, trial: int) -> None:
+    """Raise InputError unless both are whole numbers, at least zero."""
+    for field_name, value in (("seed", seed), ("trial", trial)):
+        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not whole or value < 0:
+            raise InputError(
+                f"bad {field_name}", field=field_name, expected="a whole number >= 0", got=value
+            )
+
+
+@functools.lru_cache(maxsize=8)
+def _scene(key: str, name: str, seed: int, trial: int) -> Scene:
+    """Simulate the scene described by `key` (JSON of the document's scene part)."""
+    document = json.loads(key)
+    form = schema.parse({"name": name, "stresses": "its own truth", **document})
+    return simulate(form, seed, trial)
+
+
+def simulate(form: schema.ScenarioForm, seed: int, trial: int = 0) -> Scene:
+    """Run the world of a form: its truth is a pure function of the form, the seed and the trial.
+
+    Raises InputError where vehicles crash in a scene that refuses crashes.
+    """
+
+    world, streams = form.scene, Streams(seed, trial)
+    frames = round(form.duration * form.rate)
+    step = form.simulation_rate // form.rate
+    # One tick more than the last frame needs, for central differences.
+    ticks = (frames - 1) * step + 2
+    own_path = world.ego if isinstance(world, schema.ScriptedScene) else None
+    poses = scripted.sensor_poses(own_path, world.sensor.pose, ticks, form.simulation_rate)
+    paths: list[Trajectory] = []
+    occluders = [_polygon(occluder) for occluder in world.occluders.values()]
+    if not isinstance(world, schema.ScriptedScene):
+        from sim import traffic
+
+        opened = (
+            traffic.open_gymnasium(world, form.simulation_rate, streams)
+            if isinstance(world, schema.GymnasiumScene)
+            else traffic.open_roads(world, form.simulation_rate, streams)
+        )
+        occluders += traffic.obstacles(opened)
+        warmup = round(form.warmup * form.simulation_rate)
+        paths, poses = traffic.drive(opened, ticks, warmup, world.sensor.max_range, poses)
+        if world.crashes == "refused":
+            _refuse_crashes(form.name, seed, trial, opened, paths, form.simulation_rate)
+    # Scripted groups come behind every group that a traffic scene may have.
+    group = 1000 * GROUP
+    for name, track in world.tracks.items():
+        group += GROUP
+        paths += scripted.track_trajectories(
+            group, name, track, ticks, form.simulation_rate, streams
+        )
+    if isinstance(world, schema.ScriptedScene):
+        for name, births in world.births.items():
+            group += GROUP
+            paths += scripted.birth_trajectories(
+                group, name, births, poses, world.sensor.max_range, form.simulation_rate, streams
+            )
+    site = Site(
+        occluders=tuple(occluders),
+        fov_centre=float(np.deg2rad(world.sensor.fov_centre_deg)),
+        fov_half_angle=min(float(np.deg2rad(world.sensor.fov_deg / 2)), float(np.pi)),
+        max_range=world.sensor.max_range,
+    )
+    return to_scene(
+        form.name,
+        site,
+        paths,
+        poses,
+        tick_rate=form.simulation_rate,
+        rate=form.rate,
+        frames=frames,
+        provenance=provenance(scenario=form.name, seed=seed, trial=trial),
+    )
+
+
+def _refuse_crashes(
+    name: str, seed: int, trial: int, opened: Any, paths: list[Any], tick_rate: int
+) -> None:
+    crashed = [
+        (path.first + int(np.argmax(path.crashed)), path.name)
+        for path in paths
+        if any(path.crashed)
+    ]
+    if opened.ego is not None and opened.ego.crashed:
+        crashed.append((0, "the ego"))
+    if crashed:
+        tick, who = min(crashed)
+        raise InputError(
+            f"scenario '{name}' refuses crashes, and {who} crashed (seed {seed}, trial {trial}, "
+            f"t = {tick / tick_rate:g} s)",
+            field="scene.crashes",
+            hint='say crashes = "allowed", or keep the vehicles apart',
+        )
+
+
+def _polygon(occluder: schema.Occluder) -> FloatArray:
+    if occluder.polygon is not None:
+        return np.array(occluder.polygon)
+    assert occluder.box is not None
+    x, y, length, width, yaw_deg = occluder.box
+    box = corners([[x, y, 0.0]], [[length, width, 1.0]], [np.deg2rad(yaw_deg)])
+    return np.asarray(box[0])
+
+
+def _check_clock(form: schema.ScenarioForm, file: str | None) -> None:
+    if form.simulation_rate % form.rate:
+        divisors = [d for d in range(1, form.simulation_rate + 1) if form.simulation_rate % d == 0]
+        raise InputError(
+            "the sensor's rate must divide the simulation's",
+            file=file,
+            field="rate",
+            expected=f"one of {', '.join(map(str, divisors))}",
+            got=form.rate,
+        )
+    if round(form.duration * form.rate) < 1:
+        raise InputError("shorter than one frame", file=file, field="duration", got=form.duration)
+    scene = form.scene
+    if not isinstance(scene, schema.GymnasiumScene) and scene.ego and scene.sensor.pose:
+        raise InputError(
+            "the ego carries the sensor, so the sensor has no pose of its own",
+            file=file,
+            field="scene.sensor.pose",
+            hint="leave out one of scene.ego and scene.sensor.pose",
+        )
+    for name, occluder in scene.occluders.items():
+        if (occluder.box is None) == (occluder.polygon is None):
+            raise InputError(
+                "an occluder is a box or a polygon",
+                file=file,
+                field=f"scene.occluders.{name}",
+                expected="exactly one of box and polygon",
+            )
+
+
+def _check_sweep(form: schema.ScenarioForm, document: Mapping[str, Any], file: str | None) -> None:
+    sweep = form.sweep
+    assert sweep is not None
+
+    def bad(problem: str, key: str, **details: Any) -> InputError:
+        return InputError(problem, file=file, field=f"sweep.{key}", **details)
+
+    if len(set(map(repr, sweep.levels))) < len(sweep.levels):
+        raise bad("each level once", "levels", got=sweep.levels)
+    if sweep.default is not None and sweep.default not in sweep.levels:
+        raise bad("not one of the levels", "default", expected=sweep.levels, got=sweep.default)
+    for key, values in sweep.set.items():
+        if len(values) != len(sweep.levels):
+            raise bad(
+                "one value a level", f"set.{key}", expected=len(sweep.levels), got=len(values)
+            )
+    roots = [name for name in schema.ScenarioForm.model_fields if name not in ("name", "sweep")]
+    for key in sweep.set or (sweep.parameter,):
+        root, *rest = key.split(".")
+        if root not in roots:
+            raise bad(
+                f"no key '{key}' in a scenario file",
+                "set" if sweep.set else "parameter",
+                hint=nearest_hint(root, roots, "first part"),
+            )
+        table: Any = document
+        for part in (root, *rest[:-1]):
+            table = table.get(part, {}) if isinstance(table, Mapping) else None
+        if rest and not isinstance(table, Mapping):
+            raise bad(f"'{key}' names no table of this file", "set" if sweep.set else "parameter")
+    if not form.check.monotone and not form.check.why:
+        raise InputError("a factor that is not monotone says why", file=file, field="check.why")

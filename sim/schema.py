@@ -1,0 +1,384 @@
+"""The form of a scenario file, and what is said of one that does not fit.
+
+World frame of everything below: x forward or east, y left or north, metres, seconds; angles are in
+degrees here, where people write them, and end in `_deg`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pmbm.errors import InputError, nearest_hint
+from pmbm.labels import Label
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Point = Annotated[list[float], Field(min_length=2, max_length=2)]
+Pose = Annotated[list[float], Field(min_length=3, max_length=3)]
+LabelName = Literal["car", "truck", "bus", "motorcyclist", "cyclist", "pedestrian", "other"]
+
+
+_USUAL_SIZE = {
+    Label.CAR: (5.0, 2.0),
+    Label.TRUCK: (14.0, 2.6),
+    Label.BUS: (12.0, 2.55),
+    Label.MOTORCYCLIST: (2.2, 0.8),
+    Label.CYCLIST: (1.8, 0.6),
+    Label.PEDESTRIAN: (0.6, 0.6),
+    Label.OTHER: (5.0, 2.0),
+}
+"""Length and width, m."""
+
+
+class Form(BaseModel):
+    """A table of a scenario file: unknown keys, coerced types and non-finite numbers are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Sensor(Form):
+    """What the sensor can see, and where it stands if nothing carries it."""
+
+    pose: Pose | None = Field(
+        default=None, description="x, y, yaw_deg of a sensor that stands still"
+    )
+    max_range: Positive = 100.0
+    fov_deg: Annotated[float, Field(gt=0, le=360)] = 360.0
+    fov_centre_deg: float = 0.0
+
+
+class Occluder(Form):
+    """A static thing that hides what is behind it: a box, or a convex polygon."""
+
+    box: Annotated[list[float], Field(min_length=5, max_length=5)] | None = Field(
+        default=None, description="x, y, length, width, yaw_deg"
+    )
+    polygon: Annotated[list[Point], Field(min_length=3)] | None = None
+
+
+class Body(Form):
+    """What kind of thing it is; sizes default to those of its kind."""
+
+    label: LabelName = "car"
+    length: Positive | None = None
+    width: Positive | None = None
+    height: Positive | None = None
+
+    @property
+    def kind(self) -> Label:
+        return Label[self.label.upper()]
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        length, width = _USUAL_SIZE[self.kind]
+        return (
+            self.length or length,
+            self.width or width,
+            self.height or self.kind.default_height,
+        )
+
+
+class RoadJitter(Form):
+    """Half-widths of uniform draws, one a copy and trial."""
+
+    position: NotNegative = 0.0
+    speed: NotNegative = 0.0
+    spawn: NotNegative = 0.0
+
+
+class Command(Form):
+    """What a driver is told at a time: a lane to change to, a speed to aim at."""
+
+    time: NotNegative
+    lane: Annotated[int, Field(ge=0)] | None = None
+    speed: NotNegative | None = None
+
+
+class Driver(Body):
+    """A vehicle on a road."""
+
+    road: str
+    lane: Annotated[int, Field(ge=0)] = 0
+    position: float = Field(default=0.0, description="m along the road at the time of spawning")
+    speed: NotNegative
+    target_speed: Positive | None = Field(default=None, description="default: speed")
+    driver: Literal["idm", "cruise"] = "idm"
+    lane_changes: bool = Field(False, description="may change lane of its own will (MOBIL)")
+    commands: list[Command] = []
+    jitter: RoadJitter = RoadJitter()
+
+
+class Actor(Driver):
+    """Vehicles on a road that belong to the scene."""
+
+    spawn: NotNegative = 0.0
+    despawn: Positive | None = None
+    count: Annotated[int, Field(ge=0, le=2000)] = 1
+    spacing: float = Field(default=-20.0, description="m along the road from one copy to the next")
+
+
+class Road(Form):
+    """A straight road from `start` to `end`, or an arc about `centre`.
+
+    Lane 0 lies on the line itself, each further lane one `width` to the right of travel.
+    """
+
+    start: Point | None = None
+    end: Point | None = None
+    centre: Point | None = None
+    radius: Positive | None = None
+    from_deg: float | None = None
+    to_deg: float | None = Field(
+        default=None, description="larger than from_deg: counter-clockwise"
+    )
+    lanes: Annotated[int, Field(ge=1, le=8)] = 1
+    width: Positive = 4.0
+    speed_limit: Positive = 40.0
+    leads_to: str | None = Field(
+        default=None, description="the road that begins where this one ends"
+    )
+
+
+class RoadEntry(Body):
+    """Cars that keep arriving at the start of a road, as a Poisson process."""
+
+    road: str
+    lane: Annotated[int, Field(ge=0)] = 0
+    position: float = 0.0
+    rate: NotNegative = Field(description="arrivals a second")
+    speed: Positive
+    speed_jitter: NotNegative = 0.0
+    lane_changes: bool = False
+
+
+class NetworkEntry(Body):
+    """Cars that keep arriving on a lane of a registered scene, as a Poisson process."""
+
+    lane: Annotated[list[str | int], Field(min_length=3, max_length=3)] = Field(
+        description='from node, to node, number, as in ["ser", "ses", 0]'
+    )
+    position: float = 0.0
+    rate: NotNegative
+    speed: Positive
+    speed_jitter: NotNegative = 0.0
+    destinations: list[str] = Field(default=[], description="nodes, one drawn for each car")
+
+
+class Move(Form):
+    """One stretch of a scripted path: speed and heading change evenly over it."""
+
+    seconds: Positive
+    speed: NotNegative | None = Field(default=None, description="at its end; default: as before")
+    turn_deg: float = Field(default=0.0, description="left is positive")
+
+
+class PathJitter(Form):
+    """Half-widths of uniform draws, one a copy and trial."""
+
+    x: NotNegative = 0.0
+    y: NotNegative = 0.0
+    yaw_deg: NotNegative = 0.0
+    speed: NotNegative = 0.0
+    spawn: NotNegative = 0.0
+
+
+class Path(Form):
+    """A scripted motion: a start and moves, after which it goes straight on; or poses."""
+
+    start: Point = [0.0, 0.0]
+    yaw_deg: float = 0.0
+    speed: NotNegative = 0.0
+    moves: list[Move] = []
+    poses: list[Annotated[list[float], Field(min_length=4, max_length=4)]] = Field(
+        default=[],
+        description="t, x, y, yaw_deg in order of t; the object exists from first to last",
+    )
+
+
+class Track(Path, Body):
+    """Objects that move by script, and neither see others nor are seen by drivers."""
+
+    label: LabelName = "car"
+    spawn: NotNegative = 0.0
+    despawn: Positive | None = None
+    count: Annotated[int, Field(ge=0, le=5000)] = 1
+    offset: Point = Field(default=[0.0, 5.0], description="dx, dy from one copy to the next")
+    jitter: PathJitter = PathJitter()
+
+
+class Births(Body):
+    """Objects that are born and die all the time, crossing the sensor's range."""
+
+    rate: NotNegative = Field(description="births a second, at most 5")
+    speed: Annotated[list[Positive], Field(min_length=2, max_length=2)] = [5.0, 15.0]
+    popup: Share = Field(default=0.0, description="share born inside the range and not at its edge")
+    vanish: Share = Field(
+        default=0.0, description="share that dies inside the range and not at its edge"
+    )
+
+
+class Surroundings(Form):
+    """What every kind of scene may have."""
+
+    sensor: Sensor = Sensor()
+    occluders: dict[str, Occluder] = {}
+    tracks: dict[str, Track] = {}
+
+
+class GymnasiumScene(Surroundings):
+    """A scene that highway-env registers, through `gymnasium.make`; its ego carries the sensor."""
+
+    kind: Literal["gymnasium"]
+    id: str
+    config: dict[str, Any] = {}
+    entries: dict[str, NetworkEntry] = {}
+    crashes: Literal["allowed", "refused"] = "allowed"
+
+
+class RoadScene(Surroundings):
+    """Our own roads with our own actors."""
+
+    kind: Literal["road"]
+    roads: dict[str, Road]
+    ego: Driver | None = Field(default=None, description="carries the sensor; is not in the truth")
+    actors: dict[str, Actor] = {}
+    entries: dict[str, RoadEntry] = {}
+    crashes: Literal["allowed", "refused"] = "refused"
+
+
+class ScriptedScene(Surroundings):
+    """Scripted motion alone: needs no traffic simulator."""
+
+    kind: Literal["scripted"]
+    ego: Path | None = Field(default=None, description="carries the sensor")
+    births: dict[str, Births] = {}
+
+
+AnyScene = Annotated[GymnasiumScene | RoadScene | ScriptedScene, Field(discriminator="kind")]
+Level = bool | int | float | str
+
+
+class Sweep(Form):
+    """The one factor that the scenario isolates.
+
+    The file as written has the factor off, and `levels[0]`, the null level, sets exactly that.
+    `parameter` is a dotted key of the file; or, where one physical factor moves several keys, any
+    name, and `set` lists for each key its value at each level.
+    """
+
+    parameter: str
+    unit: str = ""
+    levels: Annotated[list[Level], Field(min_length=2)]
+    default: Level | None = Field(
+        default=None, description="level of a plain run; default: the null level"
+    )
+    set: dict[str, list[Any]] = {}
+
+
+class Check(Form):
+    """Whether results can only get worse from level to level; `why` says so if not."""
+
+    monotone: bool = True
+    why: str = ""
+
+
+class ScenarioForm(Form):
+    """A scenario file."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    stresses: Annotated[str, Field(min_length=10, description="one sentence: what is stressed")]
+    duration: Annotated[float, Field(gt=0, le=3600)] = 20.0
+    rate: Annotated[int, Field(ge=1, le=100, description="frames a second")] = 10
+    simulation_rate: Annotated[int, Field(ge=1, le=200, description="steps a second")] = 20
+    warmup: NotNegative = Field(default=0.0, description="s simulated before the first frame")
+    scene: AnyScene
+    detector: dict[str, Any] = {"profile": "nominal"}
+    sweep: Sweep | None = None
+    check: Check = Check()
+
+
+def parse(document: dict[str, Any], file: object = None) -> ScenarioForm:
+    """The document as a form; InputError names the file, the key, what was expected, and for an
+    unknown key the nearest valid one."""
+    try:
+        form = ScenarioForm.model_validate(document)
+    except ValidationError as error:
+        raise _explain(error, file) from None
+    return form
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON Schema of scenario files, for editors."""
+    schema = ScenarioForm.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+_KINDS = {"gymnasium": GymnasiumScene, "road": RoadScene, "scripted": ScriptedScene}
+
+
+def _explain(error: ValidationError, file: object) -> InputError:
+    """The first problem, unknown keys before all others: they are what mistyped keys end as."""
+    problems = error.errors(include_url=False)
+    problem = min(problems, key=lambda p: p["type"] != "extra_forbidden")
+    keys = [str(part) for part in problem["loc"]]
+    if len(keys) > 1 and keys[0] == "scene" and keys[1] in _KINDS:
+        del keys[1]
+    place: dict[str, Any] = {"file": file, "field": ".".join(keys) or None}
+    kind = problem["type"]
+    if kind == "extra_forbidden":
+        valid = _valid_keys(problem["loc"][:-1])
+        return InputError(
+            f"unknown key '{keys[-1]}'", **place, hint=nearest_hint(keys[-1], valid, "key")
+        )
+    if kind == "missing":
+        return InputError(f"'{keys[-1]}' is missing", **place)
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        got = problem["input"].get("kind") if isinstance(problem["input"], dict) else None
+        place["field"] = "scene.kind"
+        return InputError(
+            "no such kind of scene" if got is not None else "'kind' is missing",
+            **place,
+            expected=" or ".join(f'"{kind}"' for kind in _KINDS),
+            got=got,
+            hint=None if got is None else nearest_hint(got, _KINDS, "kind"),
+        )
+    message = str(problem["msg"]).removeprefix("Input should be ").removeprefix("a valid ")
+    hint = None
+    if kind == "literal_error":
+        hint = nearest_hint(problem["input"], _choices(problem), "value")
+    return InputError("bad value", **place, expected=message, got=problem["input"], hint=hint)
+
+
+def _choices(problem: Any) -> list[str]:
+    return str(problem["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
+
+
+def _valid_keys(path: tuple[int | str, ...]) -> list[str]:
+    """The keys that the table at this place of a document may have."""
+    import typing
+
+    form: Any = ScenarioForm
+    for part in path:
+        if isinstance(form, type) and issubclass(form, Form):
+            if part in form.model_fields:
+                form = form.model_fields[str(part)].annotation
+            continue
+        while typing.get_origin(form) is Annotated:
+            form = typing.get_args(form)[0]
+        arguments = [a for a in typing.get_args(form) if a is not type(None)]
+        kinds = [a for a in arguments if isinstance(a, type) and issubclass(a, Form)]
+        if part in _KINDS:
+            form = _KINDS[str(part)]
+        elif kinds:
+            form = kinds[-1]
+            if part in form.model_fields:
+                form = form.model_fields[str(part)].annotation
+    while not (isinstance(form, type) and issubclass(form, Form)):
+        kinds = [a for a in typing.get_args(form) if isinstance(a, type) and issubclass(a, Form)]
+        if not kinds:
+            return []
+        form = kinds[0]
+    return list(form.model_fields)
