@@ -1,0 +1,58 @@
+"""Which code a result comes from: a hash of the sources that can change it."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from pmbm.provenance import provenance
+
+_WITHOUT_EFFECT = ("cli", "regression", "pytest_plugin.py", "tune.py", "tune")
+"""Parts of pmbm that only run, judge or show trials."""
+
+
+def code_version(modules: Iterable[str] = ()) -> dict[str, Any]:
+    """What computes a trial: digests of pmbm, sim and the modules named, versions, platform.
+
+    modules : of the trackers in use ("package.module"); a whole package is hashed.
+    """
+    known = provenance()
+    named = sorted({name.split(".")[0] for name in modules} | {"pmbm", "sim"})
+    return {
+        "sources": {name: digest for name in named if (digest := _digest(name)) is not None},
+        "versions": known["versions"],
+        "platform": known["platform"],
+    }
+
+
+def _digest(package: str) -> str | None:
+    """SHA-256 of the sources of a top-level package or module, None where it has none."""
+    sources = sorted(_sources(package))
+    hasher = hashlib.sha256()
+    for name, file in sources:
+        content = file.read_bytes()
+        hasher.update(f"{name} {len(content)};".encode())
+        hasher.update(content)
+    return hasher.hexdigest() if sources else None
+
+
+def _sources(package: str) -> Iterator[tuple[str, Path]]:
+    loaded = sys.modules.get(package)
+    spec = loaded.__spec__ if loaded is not None else importlib.util.find_spec(package)
+    if spec is None:
+        return
+    if spec.submodule_search_locations is None:
+        if spec.origin is not None and Path(spec.origin).is_file():
+            yield package, Path(spec.origin)
+        return
+    for location in spec.submodule_search_locations:
+        folder = Path(location)
+        for pattern in ("*.py", "*.toml"):
+            for file in folder.rglob(pattern):
+                name = file.relative_to(folder)
+                if package != "pmbm" or name.parts[0] not in _WITHOUT_EFFECT:
+                    yield name.as_posix(), file

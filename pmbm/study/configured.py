@@ -1,0 +1,72 @@
+"""A tracker with parameters, as a study file or a tuner names it."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pmbm.errors import InputError, nearest_hint
+from pmbm.tracking import Tracker, TrackerFactory, make_tracker, tracker_factory
+from pmbm.types import Site
+
+
+@dataclass(frozen=True)
+class ConfiguredTracker:
+    """A factory and the parameters it is called with; itself a factory.
+
+    factory : a shipped name or MODULE:FACTORY.
+    parameters : keyword arguments of the factory; or, where the factory takes one `config`, fields
+        of that dataclass.
+
+    Raises InputError for an unknown tracker or parameter, with the nearest valid name.
+    """
+
+    factory: str
+    parameters: tuple[tuple[str, Any], ...] = ()
+
+    def __call__(self, site: Site) -> Tracker:
+        return make_tracker(self.bound(), site)
+
+    def bound(self) -> TrackerFactory:
+        """The factory with its parameters filled in; checks them."""
+        factory = tracker_factory(self.factory)
+        if not self.parameters:
+            return factory
+        parameters = dict(self.parameters)
+        signature = inspect.signature(factory)
+        accepted = [name for name in signature.parameters if name != "site"]
+        config = _config_type(factory) if "config" in accepted else None
+        if config is not None:
+            valid = [field.name for field in dataclasses.fields(config)]
+            self._check(parameters, valid)
+            keywords = {"config": config(**parameters)}
+        else:
+            anything = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
+            self._check(parameters, list(parameters) if anything else accepted)
+            keywords = parameters
+        if "site" in signature.parameters:
+            return lambda site: factory(site=site, **keywords)
+        return lambda: factory(**keywords)
+
+    def _check(self, given: Mapping[str, Any], valid: list[str]) -> None:
+        for name in given:
+            if name not in valid:
+                raise InputError(
+                    f"tracker '{self.factory}' has no parameter '{name}'",
+                    field=name,
+                    hint=nearest_hint(name, valid, "parameter"),
+                )
+
+
+def _config_type(factory: TrackerFactory) -> Any:
+    """The dataclass that the parameter `config` is annotated with, if it is one."""
+    target: Any = factory.__init__ if inspect.isclass(factory) else factory
+    annotation = typing.get_type_hints(target).get("config")
+    for kind in (annotation, *typing.get_args(annotation)):
+        if dataclasses.is_dataclass(kind):
+            return kind
+    return None

@@ -1,0 +1,259 @@
+"""Study files, the trials they stand for, and the hash that identifies them."""
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from study_worlds import Convoy, Echo
+
+from pmbm.errors import InputError
+from pmbm.filter import PMBMTracker
+from pmbm.study import ConfiguredTracker, Study
+from pmbm.study.code import code_version
+from pmbm.study.design import grid, latin_hypercube
+from pmbm.study.file import json_schema
+from pmbm.types import Site
+
+
+def resolve(name, overrides):
+    if name != "convoy" and not name.endswith("own.toml"):
+        raise InputError(f"no scenario '{name}'", hint="did you mean 'convoy'?")
+    return Convoy(**overrides)
+
+
+def written(tmp_path, text):
+    file = tmp_path / "night.toml"
+    file.write_text(text)
+    return file
+
+
+def load(tmp_path, text):
+    return Study.load(written(tmp_path, text), resolve)
+
+
+SMALL = """
+scenarios = ["convoy"]
+trackers = ["study_worlds:Echo"]
+trials = 3
+"""
+
+
+def test_a_small_file(tmp_path):
+    study = load(tmp_path, SMALL)
+    assert (study.name, len(study), study.seed) == ("night", 3, 0)
+    result = study.run(2)
+    assert (result.source, result.seed, result.trial) == ("convoy", 0, 2)
+    assert result.recording == Convoy().record(0, 2).digest()
+
+
+def test_a_full_file(tmp_path):
+    study = load(
+        tmp_path,
+        """
+name = "full"
+scenarios = ["convoy", "own.toml"]
+trackers = ["pmbm", "tight", "study_worlds:Echo"]
+trials = 10
+seed = 4
+metrics = ["ospa", "mota"]
+
+[tracker.tight]
+factory = "pmbm"
+parameters = { gate = 9.0 }
+
+[sweep.grid]
+noise = [0.1, 0.5]
+"tracker.pmbm.detection_probability" = [0.8, 0.9, 0.95]
+
+[limits]
+seconds = 60
+megabytes = 2000
+
+[gate]
+margin = 0.1
+""",
+    )
+    assert len(study.cells) == 2 * 6
+    assert len(study) == 120
+    cell = study.cells[4]
+    assert cell.scenario == "convoy"
+    assert cell.point == {"noise": 0.5, "tracker.pmbm.detection_probability": 0.9}
+    assert cell.source == Convoy(noise=0.5)
+    assert cell.label == "convoy [noise = 0.5, tracker.pmbm.detection_probability = 0.9]"
+    assert cell.trackers["pmbm"].parameters == (("detection_probability", 0.9),)
+    assert cell.trackers["tight"](site=Site()).config.gate == 9.0
+    assert isinstance(cell.trackers["study_worlds:Echo"](site=Site()), Echo)
+    assert (study.time_limit, study.memory_limit, study.gate["margin"]) == (60, 2000, 0.1)
+
+
+def test_indices_grow_all_cells_together_and_stay(tmp_path):
+    few = load(tmp_path, SMALL.replace('["convoy"]', '["convoy", "own.toml"]'))
+    many = replace(few, trials=50)
+    assert [(few.cell(i).scenario, few.trial(i)) for i in range(4)] == [
+        ("convoy", 0),
+        ("own.toml", 0),
+        ("convoy", 1),
+        ("own.toml", 1),
+    ]
+    assert all(
+        (few.cell(i).label, few.trial(i)) == (many.cell(i).label, many.trial(i))
+        for i in range(len(few))
+    )
+    assert few.hash == many.hash
+
+
+CHANGES = {
+    "seed": ("trials = 3", "trials = 3\nseed = 1"),
+    "metrics": ("trials = 3", 'trials = 3\nmetrics = ["ospa"]'),
+    "tracker": ("study_worlds:Echo", "study_worlds:biased"),
+    "sweep": ("trials = 3", "trials = 3\n[sweep.grid]\nnoise = [0.2]"),
+    "parameter": (
+        'trackers = ["study_worlds:Echo"]\ntrials = 3',
+        'trackers = ["e"]\ntrials = 3\n[tracker.e]\nfactory = "study_worlds:Echo"\n'
+        "parameters = { bias = 0.5 }",
+    ),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_changes_a_result_changes_the_hash(tmp_path, change):
+    old, new = CHANGES[change]
+    assert old in SMALL
+    assert load(tmp_path, SMALL).hash != load(tmp_path, SMALL.replace(old, new)).hash
+
+
+def test_the_source_itself_is_in_the_hash(tmp_path):
+    @dataclass(frozen=True)
+    class Document(Convoy):
+        document: object = None
+
+    def hash_of(**values):
+        return Study.load(written(tmp_path, SMALL), lambda *_: Document(**values)).hash
+
+    assert hash_of(document={"a": 1}) == hash_of(document={"a": 1})
+    assert hash_of(document={"a": 1}) != hash_of(document={"a": 2})
+    assert hash_of() != hash_of(noise=0.9)
+
+
+def test_the_code_is_in_the_hash(tmp_path, monkeypatch):
+    (tmp_path / "mine_for_hashing.py").write_text("def make(): pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    before = code_version(["mine_for_hashing"])["sources"]
+    assert set(before) == {"mine_for_hashing", "pmbm", "sim"}
+    (tmp_path / "mine_for_hashing.py").write_text("def make(): return 1\n")
+    after = code_version(["mine_for_hashing"])["sources"]
+    assert before["mine_for_hashing"] != after["mine_for_hashing"]
+    assert before["pmbm"] == after["pmbm"]
+
+
+def test_the_hash_is_the_same_in_another_process(tmp_path):
+    file = written(tmp_path, SMALL)
+    code = (
+        "import sys; sys.path[:0] = sys.argv[2:]\n"
+        "from study_worlds import Convoy\nfrom pmbm.study import Study\n"
+        "print(Study.load(sys.argv[1], lambda name, overrides: Convoy(**overrides)).hash)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(file), *sys.path],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONHASHSEED": "77", "PATH": ""},
+    )
+    assert done.stdout.strip() == load(tmp_path, SMALL).hash
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("trials = 3", "missing key .*field scenarios"),
+        (SMALL + "sceds = 1", "unknown key .*sceds.*did you mean 'seed'"),
+        (SMALL + "[gate]\nmargn = 1.0", "gate.margn.*did you mean 'margin'"),
+        (SMALL + "[sweep]\ngird = {}", "sweep.gird.*did you mean 'grid'"),
+        (SMALL.replace("3", '"3"'), "field trials.*expected integer.*got '3'"),
+        (SMALL.replace("3", "0"), "field trials.*greater than or equal to 1"),
+        (SMALL.replace("convoy", "convey"), "no scenario 'convey'.*did you mean 'convoy'"),
+        (SMALL.replace("study_worlds:Echo", "pmbn"), "no tracker 'pmbn'.*did you mean 'pmbm'"),
+        (SMALL + 'metrics = ["opsa"]', "opsa.*did you mean 'ospa'"),
+        (SMALL.replace('["convoy"]', '["convoy", "convoy"]'), "named twice"),
+        (SMALL + "[sweep.grid]\nnoise = []", "no levels.*sweep.grid.noise"),
+        (SMALL + '[tracker.pmbm]\nfactory = "pmbm"', "configured, but not in trackers"),
+        (SMALL + '[sweep.grid]\n"tracker.pmbm.gate" = [1.0]', "no tracker 'pmbm' in this study"),
+        (
+            SMALL.replace("study_worlds:Echo", "pmbm")
+            + '[tracker.pmbm]\nfactory = "pmbm"\nparameters = { gaet = 1.0 }',
+            "no parameter 'gaet'.*did you mean 'gate'",
+        ),
+        (
+            SMALL.replace("study_worlds:Echo", "pmbm")
+            + '[tracker.pmbm]\nfactory = "pmbm"\nparameters = { gate = -1.0 }',
+            "gate.*got -1",
+        ),
+        (
+            SMALL + "[sweep.latin_hypercube]\nsamples = 2\nranges = { noise = [2.0, 1.0] }",
+            "low < high",
+        ),
+        ("scenarios = [", "not TOML"),
+    ],
+)
+def test_a_bad_file_is_named_with_its_key(tmp_path, text, words):
+    with pytest.raises(InputError, match=words) as caught:
+        load(tmp_path, text)
+    assert "night.toml" in str(caught.value)
+
+
+def test_no_file():
+    with pytest.raises(InputError, match=r"nowhere\.toml"):
+        Study.load("nowhere.toml", resolve)
+
+
+def test_a_grid_is_every_combination():
+    assert grid({"a": [1, 2], "b": ["x", "y"]}) == [
+        {"a": 1, "b": "x"},
+        {"a": 1, "b": "y"},
+        {"a": 2, "b": "x"},
+        {"a": 2, "b": "y"},
+    ]
+    assert grid({}) == [{}]
+
+
+def test_a_hypercube_has_one_point_in_every_slice():
+    points = latin_hypercube({"a": (0.0, 1.0), "b": (-10.0, 10.0)}, 16, seed=3)
+    assert points == latin_hypercube({"a": (0.0, 1.0), "b": (-10.0, 10.0)}, 16, seed=3)
+    for name, low, width in (("a", 0.0, 1 / 16), ("b", -10.0, 20 / 16)):
+        slices = np.floor((np.array([p[name] for p in points]) - low) / width)
+        assert sorted(slices) == list(range(16))
+
+
+def test_grid_and_hypercube_meet(tmp_path):
+    study = load(
+        tmp_path,
+        SMALL
+        + "[sweep.grid]\ncars = [1, 2]\n[sweep.latin_hypercube]\nsamples = 3\n"
+        + "ranges = { noise = [0.1, 0.9] }",
+    )
+    assert [cell.source.cars for cell in study.cells] == [1, 1, 1, 2, 2, 2]
+    assert len({cell.source.noise for cell in study.cells}) == 3
+
+
+def with_config_of_its_own(site, speed=1.0):
+    return (site, speed)
+
+
+def test_parameters_reach_the_factory():
+    site = Site(max_range=33.0)
+    own = ConfiguredTracker(f"{__name__}:with_config_of_its_own", (("speed", 4.0),))
+    assert own(site=site) == (site, 4.0)
+    pmbm = ConfiguredTracker("pmbm", (("gate", 9.0),))(site=site)
+    assert isinstance(pmbm, PMBMTracker)
+    assert (pmbm.config.gate, pmbm.site) == (9.0, site)
+    assert ConfiguredTracker("argoverse", (("min_hits", 2),))(site=site).config.min_hits == 2
+    with pytest.raises(InputError, match="did you mean 'speed'"):
+        ConfiguredTracker(f"{__name__}:with_config_of_its_own", (("sped", 4.0),)).bound()
+
+
+def test_the_schema_is_json():
+    assert "scenarios" in json.loads(json.dumps(json_schema()))["required"]
