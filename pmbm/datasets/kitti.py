@@ -1,0 +1,362 @@
+"""KITTI tracking: labels, calibration, detections and poses in; the 18-column submission out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from pmbm.datasets.files import Place, prepare_folder, replace_text
+from pmbm.datasets.frames import (
+    SourceBoxes,
+    box_corners,
+    merge,
+    named_labels,
+    nothing,
+    recording,
+    track_frames,
+)
+from pmbm.datasets.kitti_files import (
+    Calibration,
+    KittiObjects,
+    format_objects,
+    image_boxes,
+    read_calibration,
+    read_detections,
+    read_objects,
+    read_poses,
+    to_camera,
+    to_sensor,
+)
+from pmbm.datasets.poses import STANDING, Pose
+from pmbm.errors import InputError, nearest_hint
+from pmbm.geometry import wrap_angle
+from pmbm.types import FloatArray, IntArray, Label, Recording, Site, Tracks, TrackSequence
+
+PERIOD: Final = 0.1
+"""Seconds between frames."""
+CLASSES: Final = ("Car", "Pedestrian", "Cyclist")
+"""Those that are detected and scored."""
+NEIGHBOURS: Final[Mapping[str, tuple[str, ...]]] = {
+    "Car": ("Van",),
+    "Pedestrian": ("Person", "Person_sitting"),
+    "Cyclist": (),
+}
+"""Truth so like a class that following it counts neither way."""
+_LABELS: Final[Mapping[str, Label]] = {
+    "Car": Label.CAR,
+    "Van": Label.CAR,
+    "Truck": Label.TRUCK,
+    "Pedestrian": Label.PEDESTRIAN,
+    "Person": Label.PEDESTRIAN,
+    "Person_sitting": Label.PEDESTRIAN,
+    "Cyclist": Label.CYCLIST,
+    "Tram": Label.OTHER,
+    "Misc": Label.OTHER,
+}
+_TYPES: Final[Mapping[Label, str]] = {
+    Label.CAR: "Car",
+    Label.TRUCK: "Truck",
+    Label.PEDESTRIAN: "Pedestrian",
+    Label.CYCLIST: "Cyclist",
+}
+_VISIBILITY: Final[Mapping[int, float]] = {-1: 1.0, 0: 1.0, 1: 0.75, 2: 0.25, 3: 0.0}
+"""The middle of what each occlusion level stands for; 3 is unknown, and not scored."""
+_MAX_RANGE: Final = 80.0
+_CONFIDENCE: Final[Mapping[str, tuple[float, float]]] = {
+    "Car": (1.0, 0.0),
+    "Pedestrian": (1.0, 0.0),
+    "Cyclist": (1.0, 0.0),
+}
+"""Slope and offset of the logistic that turns a PointRCNN logit into a probability."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kitti:
+    """KITTI tracking sequences in a folder.
+
+    root : holds `calib` and, for truth, `label_02`.
+    detections : the folder of detection files, with `{class}` in place of the class's name where
+        there is a folder for each; None for none.
+    poses : a folder with a file of poses a sequence (12 numbers a line, or the 30 of `oxts`); None
+        to track in the moving camera's own frame.
+    classes : of `CLASSES`.
+
+    World: the first camera's place, x forward, y left, z up; one frame a tenth of a second.
+    """
+
+    root: Path
+    detections: str | None = None
+    poses: Path | None = None
+    classes: tuple[str, ...] = CLASSES
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "root", Path(self.root))
+        object.__setattr__(self, "poses", None if self.poses is None else Path(self.poses))
+        object.__setattr__(self, "classes", tuple(self.classes))
+        for name in self.classes:
+            if name not in CLASSES:
+                raise InputError(
+                    f"KITTI: no class '{name}'",
+                    field="classes",
+                    hint=nearest_hint(name, CLASSES, "class"),
+                )
+
+    def sequences(self) -> list[str]:
+        """The names of all sequences: those with a calibration."""
+        folder = self.root / "calib"
+        names = sorted(path.stem for path in folder.glob("*.txt")) if folder.is_dir() else []
+        if not names:
+            raise InputError("KITTI: no sequences", file=folder, expected="files NNNN.txt")
+        return names
+
+    def recording(self, sequence: str, *, truth: bool = True) -> Recording:
+        """One sequence in the world; without `truth` its labels are not read.
+
+        Truth holds the classes asked for and, not observable, their neighbours; what is truncated
+        or occluded beyond judgement is not observable either, as the benchmark's rules have it.
+        Detections carry the detector's logit as `raw_score` and a logistic of it as `score`.
+        Origins are unknown.
+
+        Raises InputError for missing or bad files, and for frames that have no pose.
+        """
+        calibration, poses = self._places(sequence)
+        labels = self._labels(sequence) if truth else None
+        seen = [self._detections(sequence, kind) for kind in self._kinds()]
+        tables = [*seen] if labels is None else [*seen, labels]
+        frames = self._frames(sequence, poses, tables)
+        if poses is None:
+            poses = (STANDING,) * frames
+        kinds = {} if labels is None else dict(zip(labels.id.tolist(), labels.type, strict=True))
+        return recording(
+            name=f"kitti-{sequence}",
+            stamp=range(frames),
+            times=_times(frames),
+            poses=poses,
+            truth=[nothing()] * frames if labels is None else self._truth(labels, frames),
+            detections=_merged([_detected(objects, frames) for objects in seen], frames),
+            site=Site(fov_half_angle=calibration.half_field_of_view, max_range=_MAX_RANGE),
+            provenance={
+                "dataset": "kitti",
+                "sequence": sequence,
+                "ego_motion": self.poses is not None,
+                "class": {str(key): kind for key, kind in sorted(kinds.items())},
+            },
+        )
+
+    def write(self, sequence: str, tracks: TrackSequence, out: Path) -> Path:
+        """Write `out`/NNNN.txt, the submission's 18 columns, and give its path.
+
+        Boxes are brought back into the camera of their frame; the image box is that of the part the
+        image shows, and a box with no part in the image is left out, as the labels leave it out.
+        Truncation and occlusion are -1, "not said".
+        """
+        calibration, poses = self._places(sequence)
+        lines = []
+        for frame, step in zip(tracks.frame.tolist(), tracks, strict=True):
+            if poses is not None and frame >= len(poses):
+                raise InputError("KITTI: a frame without a pose", frame=frame, field="frame")
+            pose = STANDING if poses is None else poses[frame]
+            lines.append(format_objects(_submission(frame, step, pose, calibration)))
+        path = prepare_folder(Path(out)) / f"{sequence}.txt"
+        replace_text(path, "".join(lines))
+        return path
+
+    def read(self, sequence: str, folder: Path) -> TrackSequence:
+        """The tracks of `folder`/NNNN.txt in the world, one report for every frame; scores outside
+        [0, 1] go through the logistic function."""
+        _, poses = self._places(sequence)
+        path = Path(folder) / f"{_checked(sequence)}.txt"
+        results = read_objects(path, scored=True)
+        tables = (
+            [results]
+            if poses is not None or not self._has_labels()
+            else [
+                results,
+                self._labels(sequence),
+            ]
+        )
+        frames = self._frames(sequence, poses, tables)
+        assert results.score is not None
+        score = results.score
+        if len(score) and (score.min() < 0 or score.max() > 1):
+            score = _logistic(score)
+        boxes = []
+        for rows in _by_frame(results, frames):
+            part = _boxes(results, rows)
+            boxes.append(
+                SourceBoxes(
+                    position=part.position,
+                    size=part.size,
+                    yaw=part.yaw,
+                    label=part.label,
+                    name=[str(value) for value in results.id[rows]],
+                    score=score[rows],
+                )
+            )
+        return track_frames(
+            _times(frames),
+            (STANDING,) * frames if poses is None else poses,
+            boxes,
+            ids=[results.id[rows] for rows in _by_frame(results, frames)],
+        )
+
+    def objects(self, sequence: str) -> KittiObjects:
+        """The labels in the dataset's own terms, for its own rules."""
+        return self._labels(sequence)
+
+    def results(self, sequence: str, folder: Path) -> KittiObjects:
+        """A result file in the dataset's own terms, for its own rules."""
+        return read_objects(Path(folder) / f"{_checked(sequence)}.txt", scored=True)
+
+    def _places(self, sequence: str) -> tuple[Calibration, tuple[Pose, ...] | None]:
+        calibration = read_calibration(self.root / "calib" / f"{_checked(sequence)}.txt")
+        if self.poses is None:
+            return calibration, None
+        return calibration, read_poses(self.poses / f"{sequence}.txt", calibration)
+
+    def _has_labels(self) -> bool:
+        return (self.root / "label_02").is_dir()
+
+    def _labels(self, sequence: str) -> KittiObjects:
+        return read_objects(self.root / "label_02" / f"{_checked(sequence)}.txt", scored=False)
+
+    def _kinds(self) -> Sequence[str | None]:
+        if self.detections is None:
+            return ()
+        return self.classes if "{class}" in self.detections else (None,)
+
+    def _detections(self, sequence: str, kind: str | None) -> KittiObjects:
+        assert self.detections is not None
+        folder = Path(self.detections.replace("{class}", kind or ""))
+        objects = read_detections(folder / f"{sequence}.txt", kind)
+        wanted = [i for i, name in enumerate(objects.type) if name in self.classes]
+        return objects.take(wanted)
+
+    def _frames(
+        self, sequence: str, poses: tuple[Pose, ...] | None, tables: Sequence[KittiObjects]
+    ) -> int:
+        """Frames of the sequence: one a pose; without poses, up to the last frame named."""
+        length = max((table.length for table in tables), default=0)
+        if poses is None:
+            return length
+        if length > len(poses):
+            raise Place(self.poses / f"{sequence}.txt" if self.poses else Path()).error(
+                "a frame without a pose",
+                frame=length - 1,
+                expected=f"{length} lines",
+                got=len(poses),
+            )
+        return len(poses)
+
+    def _truth(self, labels: KittiObjects, frames: int) -> list[SourceBoxes]:
+        wanted = dict.fromkeys(self.classes, True)
+        wanted |= {kind: False for name in self.classes for kind in NEIGHBOURS[name]}
+        truth = []
+        for rows in _by_frame(labels, frames):
+            rows = np.array([i for i in rows if labels.type[i] in wanted], dtype=np.int64)
+            own = np.array([wanted[labels.type[i]] for i in rows], dtype=bool)
+            part = _boxes(labels, rows)
+            truth.append(
+                SourceBoxes(
+                    position=part.position,
+                    size=part.size,
+                    yaw=part.yaw,
+                    label=part.label,
+                    name=[str(value) for value in labels.id[rows]],
+                    visibility=np.array([_VISIBILITY[i] for i in labels.occluded[rows].tolist()]),
+                    observable=own & (labels.occluded[rows] <= 2) & (labels.truncated[rows] <= 0),
+                )
+            )
+        return truth
+
+
+def _checked(sequence: str) -> str:
+    if not re.fullmatch(r"[0-9]{4}", sequence):
+        raise InputError(
+            "KITTI: no such sequence", field="sequences", expected="NNNN", got=sequence
+        )
+    return sequence
+
+
+def _times(frames: int) -> FloatArray:
+    return np.arange(frames, dtype=np.float64) * PERIOD
+
+
+def _by_frame(objects: KittiObjects, frames: int) -> list[IntArray]:
+    """The rows of each frame, in the file's order."""
+    order = np.argsort(objects.frame, kind="stable")
+    cuts = np.searchsorted(objects.frame[order], np.arange(1, frames))
+    return np.split(order, cuts) if frames else []
+
+
+def _boxes(objects: KittiObjects, rows: IntArray) -> SourceBoxes:
+    """From the centre of the bottom face and the yaw about y (down) to the centre and the yaw about
+    z (up)."""
+    size = objects.size[rows]
+    position = to_sensor(objects.bottom[rows])
+    position[:, 2] += size[:, 2] / 2
+    return SourceBoxes(
+        position=position,
+        size=size,
+        yaw=wrap_angle(-np.pi / 2 - objects.rotation_y[rows]),
+        label=named_labels([objects.type[i] for i in rows], _LABELS),
+    )
+
+
+def _detected(objects: KittiObjects, frames: int) -> list[SourceBoxes]:
+    assert objects.score is not None
+    confidence = np.array([_CONFIDENCE[kind] for kind in objects.type]).reshape(-1, 2)
+    score = _logistic(confidence[:, 0] * objects.score + confidence[:, 1])
+    found = []
+    for rows in _by_frame(objects, frames):
+        part = _boxes(objects, rows)
+        found.append(
+            SourceBoxes(
+                position=part.position,
+                size=part.size,
+                yaw=part.yaw,
+                label=part.label,
+                score=score[rows],
+                raw_score=objects.score[rows],
+            )
+        )
+    return found
+
+
+def _merged(parts: Sequence[Sequence[SourceBoxes]], frames: int) -> list[SourceBoxes]:
+    return [merge([part[k] for part in parts]) for k in range(frames)]
+
+
+def _logistic(value: FloatArray) -> FloatArray:
+    return 0.5 * (1.0 + np.tanh(value / 2))
+
+
+def _submission(frame: int, tracks: Tracks, pose: Pose, calibration: Calibration) -> KittiObjects:
+    centre = pose.to_sensor(tracks.position)
+    yaw = pose.yaw_to_sensor(tracks.yaw)
+    boxes = list(image_boxes(to_camera(box_corners(centre, tracks.size, yaw)), calibration))
+    rows = np.array([i for i, box in enumerate(boxes) if box is not None], dtype=np.int64)
+    height = tracks.size[rows, 2]
+    bottom = to_camera(centre[rows] - np.outer(height / 2, [0.0, 0.0, 1.0]))
+    rotation = wrap_angle(-np.pi / 2 - yaw[rows])
+    n = len(rows)
+    return KittiObjects(
+        frame=np.full(n, frame),
+        id=tracks.id[rows],
+        type=tuple(_TYPES.get(Label(label), "Misc") for label in tracks.label[rows].tolist()),
+        truncated=np.full(n, -1.0),
+        occluded=np.full(n, -1),
+        alpha=wrap_angle(rotation - np.arctan2(bottom[:, 0], bottom[:, 2])),
+        box=np.array([boxes[i] for i in rows]).reshape(-1, 4),
+        size=tracks.size[rows],
+        bottom=bottom,
+        rotation_y=rotation,
+        score=tracks.score[rows],
+        dont_care_frame=np.zeros(0, np.int64),
+        dont_care_box=np.zeros((0, 4)),
+    )
