@@ -74,37 +74,51 @@ def iou(
     vertical: bool = True,
 ) -> FloatArray:
     """Intersection over union (N,M) of upright rotated boxes: of volumes, or with
-    `vertical=False` of bird's-eye areas.
+    `vertical=False` of bird's-eye areas."""
+    a = [np.asarray(value, np.float64) for value in (position_a, size_a, yaw_a)]
+    b = [np.asarray(value, np.float64) for value in (position_b, size_b, yaw_b)]
+    n, m = len(a[0]), len(b[0])
+    i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
+    overlap = paired_iou(*(v[i] for v in a), *(v[j] for v in b), vertical=vertical)
+    return overlap.reshape(n, m)
+
+
+def paired_iou(
+    position_a: FloatArray,
+    size_a: FloatArray,
+    yaw_a: FloatArray,
+    position_b: FloatArray,
+    size_b: FloatArray,
+    yaw_b: FloatArray,
+    *,
+    vertical: bool = True,
+) -> FloatArray:
+    """Intersection over union (N,) of N pairs of upright rotated boxes, row by row.
 
     Only pairs whose circumscribed circles meet are intersected (shapely, all pairs in one call).
     """
     import shapely
 
-    position_a, size_a, yaw_a = (np.asarray(v, np.float64) for v in (position_a, size_a, yaw_a))
-    position_b, size_b, yaw_b = (np.asarray(v, np.float64) for v in (position_b, size_b, yaw_b))
-    result = np.zeros((len(position_a), len(position_b)))
-    if result.size == 0:
+    result = np.zeros(len(position_a))
+    reach = (np.hypot(size_a[:, 0], size_a[:, 1]) + np.hypot(size_b[:, 0], size_b[:, 1])) / 2
+    offset = position_a[:, :2] - position_b[:, :2]
+    near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < reach)
+    if len(near) == 0:
         return result
-    radius_a = np.hypot(size_a[:, 0], size_a[:, 1]) / 2
-    radius_b = np.hypot(size_b[:, 0], size_b[:, 1]) / 2
-    near = centre_distance(position_a[:, :2], position_b[:, :2]) < radius_a[:, None] + radius_b
-    i, j = np.nonzero(near)
-    if len(i) == 0:
-        return result
+    position_a, size_a, yaw_a = position_a[near], size_a[near], yaw_a[near]
+    position_b, size_b, yaw_b = position_b[near], size_b[near], yaw_b[near]
     polygon_a = shapely.polygons(corners(position_a, size_a, yaw_a))
     polygon_b = shapely.polygons(corners(position_b, size_b, yaw_b))
-    overlap = shapely.area(shapely.intersection(polygon_a[i], polygon_b[j]))
+    overlap = shapely.area(shapely.intersection(polygon_a, polygon_b))
     measure_a, measure_b = size_a[:, 0] * size_a[:, 1], size_b[:, 0] * size_b[:, 1]
     if vertical:
-        top = np.minimum(
-            (position_a[:, 2] + size_a[:, 2] / 2)[i], (position_b[:, 2] + size_b[:, 2] / 2)[j]
-        )
+        top = np.minimum(position_a[:, 2] + size_a[:, 2] / 2, position_b[:, 2] + size_b[:, 2] / 2)
         bottom = np.maximum(
-            (position_a[:, 2] - size_a[:, 2] / 2)[i], (position_b[:, 2] - size_b[:, 2] / 2)[j]
+            position_a[:, 2] - size_a[:, 2] / 2, position_b[:, 2] - size_b[:, 2] / 2
         )
         overlap = overlap * np.clip(top - bottom, 0.0, None)
         measure_a, measure_b = measure_a * size_a[:, 2], measure_b * size_b[:, 2]
-    result[i, j] = overlap / (measure_a[i] + measure_b[j] - overlap)
+    result[near] = overlap / (measure_a + measure_b - overlap)
     return result
 
 
