@@ -45,14 +45,15 @@ def _sources(package: str) -> Iterator[tuple[str, Path]]:
     spec = loaded.__spec__ if loaded is not None else importlib.util.find_spec(package)
     if spec is None:
         return
-    if spec.submodule_search_locations is None:
-        if spec.origin is not None and Path(spec.origin).is_file():
-            yield package, Path(spec.origin)
+    if spec.origin is None or not Path(spec.origin).is_file():
         return
-    for location in spec.submodule_search_locations:
-        folder = Path(location)
-        for pattern in ("*.py", "*.toml"):
-            for file in folder.rglob(pattern):
-                name = file.relative_to(folder)
-                if package != "pmbm" or name.parts[0] not in _WITHOUT_EFFECT:
-                    yield name.as_posix(), file
+    origin = Path(spec.origin)
+    if spec.submodule_search_locations is None:
+        yield package, origin
+        return
+    # An editable install may search further folders, which hold more than the package.
+    for pattern in ("*.py", "*.toml"):
+        for file in origin.parent.rglob(pattern):
+            name = file.relative_to(origin.parent)
+            if package != "pmbm" or name.parts[0] not in _WITHOUT_EFFECT:
+                yield name.as_posix(), file
