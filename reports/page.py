@@ -16,6 +16,8 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from reports.palette import DARK, LIGHT
+
 REPLAY_SCRIPTS = ("decode", "geometry", "scene", "plots", "player", "main")
 
 
@@ -66,7 +68,11 @@ def _read(name: str) -> str:
 
 @cache
 def _style() -> str:
-    return _read("page.css")
+    def block(colours: dict[str, str]) -> str:
+        return ":root{" + "".join(f"--{name}:{value};" for name, value in colours.items()) + "}"
+
+    dark = "@media (prefers-color-scheme: dark){" + block(DARK) + "}"
+    return "\n".join([block(LIGHT), dark, _read("page.css")])
 
 
 @cache

@@ -10,7 +10,7 @@ function readColours() {
     tracker: (i) => trackers[i % trackers.length],
     identity: (i) => identities[i % identities.length],
     font: (size, weight = 500) => `${weight} ${size}px ${family}`,
-    heat: value("heat").split(",").map(Number),
+    heat: [1, 3, 5].map((i) => parseInt(value("heat").slice(i, i + 2), 16)),
     stage: value("stage"), ink: value("ink"), soft: value("soft"), faint: value("faint"),
     line: value("line"), hair: value("hair"), road: value("road"), building: value("building"),
     unseen: value("unseen"), truth: value("truth"), truthFill: value("truth-fill"),

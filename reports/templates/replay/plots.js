@@ -78,7 +78,7 @@ class Plots {
     c.textAlign = "right";
     c.fillStyle = this.colours.soft;
     c.strokeStyle = this.colours.hair;
-    const step = niceStep(top / 2);
+    const step = niceStep(top / 3);
     for (let v = 0; v <= top + 1e-9; v += step) {
       const y = Math.round(box.bottom - ((box.bottom - box.top) * v) / top) + 0.5;
       c.beginPath();
@@ -219,7 +219,7 @@ function onFrames(data, tracker, values) {
 
 function niceStep(rough) {
   const power = 10 ** Math.floor(Math.log10(rough || 1));
-  return [1, 2, 5, 10].map((m) => m * power).find((step) => step >= rough * 0.999);
+  return [1, 2, 5, 10, 20].map((m) => m * power).find((step) => step >= rough * 0.999);
 }
 
 // The start of a run, when nothing is tracked yet, must not flatten the rest: an axis ends near the
@@ -232,6 +232,6 @@ function robustTop(values) {
 }
 
 function niceTop(value) {
-  const step = niceStep(value / 2);
+  const step = niceStep(value / 3);
   return step * Math.ceil(value / step - 1e-9);
 }

@@ -1,0 +1,150 @@
+"""Pictures for README files and documents, as matplotlib figures in one style."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pmbm.errors import InputError
+from pmbm.types import FloatArray, Recording, Tracks, TrackSequence
+from reports.drawing import ScenePanel, add_legend, colours_of, save, styled
+from reports.palette import tracker_colour
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["save", "scene_picture"]
+
+Extent = tuple[float, float, float, float]
+TRAIL_SECONDS = 2.0
+
+
+def scene_picture(
+    recording: Recording,
+    tracks: Mapping[str, TrackSequence] | None = None,
+    frame: int | None = None,
+    *,
+    extent: Extent | None = None,
+    dark: bool = False,
+    width: float = 8.0,
+) -> Figure:
+    """One frame from above: truth, detections, shadows and field of view, and one panel a tracker.
+
+    tracks : tracker -> what it said; without any, the scene alone.
+    frame : of the truth; by default the one with the most hidden objects in view.
+    extent : (x0, y0, x1, y1) to show, m; by default the traffic within range.
+    width : inches.
+
+    Write it with `save(figure, "scene.svg")`.  Raises InputError for a frame that is not there.
+    """
+    frame = _busiest(recording) if frame is None else frame
+    _check_frame(recording, frame)
+    panels = dict(tracks or {})
+    extent = extent or traffic_extent(recording, frame)
+    with styled():
+        figure, axes = _figure(max(1, len(panels)), extent, dark=dark, width=width)
+        for index, panel_axes in enumerate(axes):
+            panel = ScenePanel(panel_axes, colours_of(dark), extent)
+            draw_world(panel, recording, frame)
+            if panels:
+                name, sequence = list(panels.items())[index]
+                colour = tracker_colour(colours_of(dark), index)
+                draw_tracks(panel, recording, sequence, frame, colour)
+                panel.caption(name, colour)
+        when = f"{recording.name}, {recording.truth[frame].time:.1f} s"
+        axes[0].set_title(when, loc="right", color=colours_of(dark)["soft"], fontsize=8, pad=6)
+        add_legend(figure, colours_of(dark), tracks=bool(panels))
+    return figure
+
+
+def draw_world(panel: ScenePanel, recording: Recording, frame: int) -> None:
+    """Site, what cannot be seen, truth, sensor and detections of a frame."""
+    truth = recording.truth[frame]
+    pose = sensor_pose(recording, frame)
+    panel.site(recording.site)
+    panel.unseen(truth, recording.site, pose)
+    panel.truth(truth)
+    for delivery in np.flatnonzero(recording.frame == frame):
+        panel.detections(recording.detections[delivery])
+    panel.sensor(pose)
+    panel.scale_bar()
+
+
+def draw_tracks(
+    panel: ScenePanel, recording: Recording, sequence: TrackSequence, frame: int, colour: str
+) -> None:
+    """A tracker's boxes in a frame, with trails of the last two seconds."""
+    now = recording.truth[frame].time
+    past = [
+        step
+        for step, at in zip(sequence, sequence.frame.tolist(), strict=True)
+        if at <= frame and recording.truth[at].time >= now - TRAIL_SECONDS
+    ]
+    present = report_at(sequence, frame) or Tracks.empty(now)
+    shown = set(present.id.tolist())
+    panel.trails([step.take([i in shown for i in step.id.tolist()]) for step in past], colour)
+    panel.tracks(present, recording.truth[frame], colour)
+
+
+def report_at(sequence: TrackSequence, frame: int) -> Tracks | None:
+    """What the tracker said of a frame; None where it was not stepped."""
+    steps = np.flatnonzero(sequence.frame == frame)
+    return sequence[int(steps[0])] if len(steps) else None
+
+
+def sensor_pose(recording: Recording, frame: int) -> FloatArray:
+    """Where the sensor was: of the frame's delivery, or of the nearest one."""
+    if not len(recording.detections):
+        return np.zeros(3)
+    nearest = int(np.abs(recording.frame - frame).argmin())
+    return recording.detections[nearest].sensor_pose
+
+
+def traffic_extent(recording: Recording, frame: int) -> Extent:
+    """The rectangle around the sensor and the objects within its range; at least as wide as high,
+    at most three times."""
+    pose = sensor_pose(recording, frame)
+    position = recording.truth[frame].position[:, :2]
+    near = np.hypot(*(position - pose[:2]).T) <= recording.site.max_range
+    points = np.vstack([pose[None, :2], position[near]])
+    low, high = points.min(axis=0) - 8, points.max(axis=0) + 8
+    centre, half = (low + high) / 2, (high - low) / 2
+    half = np.maximum(half, [half[1], half[0] / 3])
+    x0, y0 = centre - half
+    x1, y1 = centre + half
+    return float(x0), float(y0), float(x1), float(y1)
+
+
+def _figure(panels: int, extent: Extent, *, dark: bool, width: float) -> tuple[Figure, list[Any]]:
+    from matplotlib.figure import Figure
+
+    ratio = (extent[3] - extent[1]) / (extent[2] - extent[0])
+    # Wide scenes are stacked, others stand side by side.
+    rows, columns = (panels, 1) if ratio < 0.6 else (1, panels)
+    height = width / columns * ratio * rows + 0.35 * rows + 0.3
+    figure = Figure(figsize=(width, height), layout="constrained")
+    figure.set_facecolor(colours_of(dark)["card"])
+    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    return figure, axes
+
+
+def _busiest(recording: Recording) -> int:
+    """The frame with the most objects that are hidden within range, then with the most objects."""
+    keys = []
+    for frame, truth in enumerate(recording.truth):
+        pose = sensor_pose(recording, frame)
+        near = np.hypot(*(truth.position[:, :2] - pose[:2]).T) <= recording.site.max_range
+        keys.append((int((near & ~truth.observable).sum()), int(near.sum()), -frame))
+    return max(range(len(keys)), key=keys.__getitem__) if keys else 0
+
+
+def _check_frame(recording: Recording, frame: int) -> None:
+    if not 0 <= frame < len(recording):
+        raise InputError(
+            f"recording '{recording.name}' has no such frame",
+            field="frame",
+            expected=f"0 to {len(recording) - 1}",
+            got=frame,
+        )
