@@ -35,7 +35,7 @@ def styled() -> Iterator[None]:
     log = logging.getLogger("matplotlib.font_manager")
     level = log.level
     log.setLevel(logging.ERROR)
-    settings = {
+    settings: dict[Any, Any] = {
         "font.family": [name for name in _FONTS if name in known] or ["sans-serif"],
         "font.size": 9.0,
         "svg.fonttype": "none",
@@ -82,7 +82,8 @@ def add_legend(figure: Figure, colours: dict[str, str], *, tracks: bool) -> None
         Patch(facecolor=colours["unseen"], label="cannot be seen"),
     ]
     if tracks:
-        ring: dict[str, Any] = {"color": "none", "markeredgecolor": colours["error"], "fillstyle": "none"}
+        ring: dict[str, Any] = {"color": "none", "fillstyle": "none"}
+        ring["markeredgecolor"] = colours["error"]
         entries[3:3] = [
             Patch(facecolor="none", edgecolor=colours["soft"], linewidth=1.5, label="track"),
             Line2D([], [], marker="o", markersize=9, **ring, label="missed"),

@@ -88,8 +88,8 @@ def test_a_picture_is_written(tmp_path, dark):
     scene = recording(frames=40)
     by_tracker = {"careful": tracks(scene), "sloppy": tracks(scene, sloppy=True)}
     figure = scene_picture(scene, by_tracker, 30, dark=dark)
-    save(figure, tmp_path / "scene.png")
     save(figure, tmp_path / "scene.svg")
+    save(figure, tmp_path / "scene.png")
     with Image.open(tmp_path / "scene.png") as image:
         assert len(image.convert("RGB").quantize(64).getcolors()) > 20
     text = (tmp_path / "scene.svg").read_text()
