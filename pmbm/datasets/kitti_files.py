@@ -6,7 +6,7 @@ boxes by the centre of their bottom face and a yaw about +y; images of camera 2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -134,14 +134,17 @@ def read_objects(path: Path, *, scored: bool) -> KittiObjects:
     Raises InputError for anything but finite boxes of known classes, each id once in a frame.
     """
     columns = 18 if scored else 17
-    rows, regions, seen = [], [], set()
+    named: list[tuple[int, int, str]] = []
+    numbers: list[list[float]] = []
+    regions: list[list[float]] = []
+    seen = set()
     for place, tokens in text_rows(path, None):
         _check_columns(place, tokens, columns)
         frame = place.integer(tokens[0], "frame", at_least=0, at_most=LONGEST - 1)
         place = Place(path, frame=frame, rows=place.rows)
         kind = tokens[2]
         if kind == DONT_CARE and not scored:
-            regions.append((frame, *_pixels(place, tokens[6:10])))
+            regions.append([frame, *_pixels(place, tokens[6:10])])
             continue
         _check_type(place, kind)
         object_id = place.integer(tokens[1], "track_id", at_least=0)
@@ -149,25 +152,24 @@ def read_objects(path: Path, *, scored: bool) -> KittiObjects:
         if (frame, object_id) in seen:
             raise place.error("the same id twice in a frame", field="track_id", got=object_id)
         seen.add((frame, object_id))
-        rows.append(
-            (
-                frame,
-                object_id,
-                kind,
+        named.append((frame, object_id, kind))
+        numbers.append(
+            [
                 place.number(tokens[3], "truncated", within=2.0),
                 place.integer(tokens[4], "occluded", at_least=-1, at_most=3),
                 place.number(tokens[5], "alpha", within=_LARGEST_ANGLE),
                 *_pixels(place, tokens[6:10]),
                 *_geometry(place, tokens[10:17]),
                 place.number(tokens[17], "score", within=_LARGEST_SCORE) if scored else 0.0,
-            )
+            ]
         )
-    return _table(rows, regions, scored=scored)
+    return _table(named, numbers, regions, scored=scored)
 
 
 def read_detections(path: Path, kind: str | None) -> KittiObjects:
     """A detection file (15 columns, commas), all of one class where `kind` is given."""
-    rows = []
+    named: list[tuple[int, int, str]] = []
+    numbers: list[list[float]] = []
     for place, tokens in text_rows(path, ","):
         _check_columns(place, tokens, 15)
         frame = place.integer(tokens[0], "frame", at_least=0, at_most=LONGEST - 1)
@@ -177,20 +179,17 @@ def read_detections(path: Path, kind: str | None) -> KittiObjects:
         if found is None or (kind is not None and found != kind):
             wanted = [key for key, name in _DETECTED_TYPES.items() if kind in (None, name)]
             raise place.error("an unexpected class", field="class", expected=wanted, got=number)
-        rows.append(
-            (
-                frame,
-                -1,
-                found,
-                -1,
-                -1,
+        named.append((frame, -1, found))
+        numbers.append(
+            [
+                *(-1.0, -1.0),
                 place.number(tokens[14], "alpha", within=_LARGEST_ANGLE),
                 *_pixels(place, tokens[2:6]),
                 *_geometry(place, tokens[7:14]),
                 place.number(tokens[6], "score", within=_LARGEST_SCORE),
-            )
+            ]
         )
-    return _table(rows, [], scored=True)
+    return _table(named, numbers, [], scored=True)
 
 
 def format_objects(objects: KittiObjects) -> str:
@@ -405,23 +404,28 @@ def _angle(place: Place, token: str) -> float:
     return place.number(token, "rotation_y", within=_LARGEST_ANGLE)
 
 
-def _table(rows: Sequence[tuple], regions: Sequence[tuple], *, scored: bool) -> KittiObjects:  # type: ignore[type-arg]
-    numbers: Callable[[slice], FloatArray] = lambda columns: np.array(  # noqa: E731
-        [row[columns] for row in rows], dtype=np.float64
-    ).reshape(len(rows), -1)
+def _table(
+    named: Sequence[tuple[int, int, str]],
+    numbers: Sequence[Sequence[float]],
+    regions: Sequence[Sequence[float]],
+    *,
+    scored: bool,
+) -> KittiObjects:
+    """numbers : truncated, occluded, alpha, image box, l w h, x y z, ry, score."""
+    number = np.array(numbers, dtype=np.float64).reshape(-1, 15)
     region = np.array(regions, dtype=np.float64).reshape(-1, 5)
     return KittiObjects(
-        frame=np.array([row[0] for row in rows], dtype=np.int64),
-        id=np.array([row[1] for row in rows], dtype=np.int64),
-        type=tuple(row[2] for row in rows),
-        truncated=np.array([row[3] for row in rows], dtype=np.float64),
-        occluded=np.array([row[4] for row in rows], dtype=np.int64),
-        alpha=np.array([row[5] for row in rows], dtype=np.float64),
-        box=numbers(slice(6, 10)).reshape(-1, 4),
-        size=numbers(slice(10, 13)).reshape(-1, 3),
-        bottom=numbers(slice(13, 16)).reshape(-1, 3),
-        rotation_y=np.array([row[16] for row in rows], dtype=np.float64),
-        score=np.array([row[17] for row in rows], dtype=np.float64) if scored else None,
+        frame=np.array([frame for frame, _, _ in named], dtype=np.int64),
+        id=np.array([object_id for _, object_id, _ in named], dtype=np.int64),
+        type=tuple(kind for _, _, kind in named),
+        truncated=number[:, 0],
+        occluded=number[:, 1].astype(np.int64),
+        alpha=number[:, 2],
+        box=number[:, 3:7],
+        size=number[:, 7:10],
+        bottom=number[:, 10:13],
+        rotation_y=number[:, 13],
+        score=number[:, 14] if scored else None,
         dont_care_frame=region[:, 0].astype(np.int64),
         dont_care_box=region[:, 1:],
     )
