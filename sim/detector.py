@@ -19,6 +19,7 @@ from pmbm.errors import InputError, nearest_hint
 from pmbm.labels import Label
 from pmbm.types import Detections, FloatArray, IntArray, Recording
 from sim.boxes import Boxes, Targets, concatenate, targets
+from sim.calibration import reliability
 from sim.clutter import ClutterModel, clutter
 from sim.knobs import NO_UNKNOWN_KEYS, POSITIVE, Bound, Curve, NamedLabel, check_bounds
 from sim.objects import ObjectModel, sense
@@ -70,7 +71,8 @@ class DetectorModel:
 
         Every random draw has a stream and a row of its own (see `sim.streams`), so the same scene,
         seed and trial give the same bits, and changing a knob changes only what it is about.
-        Boxes of a frame are listed by falling score.
+        Boxes of a frame are listed by falling score; an origin stands twice where an object was
+        reported twice.  The expected calibration error of the scores is in the provenance.
         """
         streams = Streams(seed, trial)
         seen = self._as_measured(scene, streams)
@@ -92,7 +94,7 @@ class DetectorModel:
             boxes = moved(boxes, scene.sensor_pose, pose)
         delivered = arrivals(self.sensor, len(scene), streams)
         frames = _by_frame(boxes, scene, pose)
-        return Recording(
+        recording = Recording(
             name=scene.name,
             site=scene.site,
             truth=scene.truth,
@@ -101,11 +103,14 @@ class DetectorModel:
             origin=tuple(frames[frame][1] for frame in delivered),
             stamp=scene.stamp,
             object_name=scene.object_name,
-            provenance={
-                **scene.provenance,
-                "detector": {"seed": seed, "trial": trial, "profile": self.plain()},
-            },
         )
+        made = {
+            "seed": seed,
+            "trial": trial,
+            "profile": self.plain(),
+            "score_error": reliability(recording).expected_error,
+        }
+        return replace(recording, provenance={**scene.provenance, "detector": made})
 
     def _as_measured(self, scene: Scene, streams: Streams) -> Targets:
         """The targets where they are at the moment of measurement."""

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmbm.errors import InputError
 from pmbm.geometry import wrap_angle
-from pmbm.types import FloatArray
-from sim.boxes import Boxes, Targets
+from pmbm.labels import Label
+from pmbm.types import FloatArray, IntArray
+from sim.boxes import Boxes, Targets, concatenate
 from sim.knobs import (
     NO_UNKNOWN_KEYS,
     NOT_NEGATIVE,
@@ -18,6 +22,7 @@ from sim.knobs import (
     SHARE,
     Bound,
     Curve,
+    NamedLabel,
     NumberOrCurve,
     check_bounds,
 )
@@ -55,6 +60,14 @@ class ObjectModel:
     score_mean : mean of the confidence, a Beta variable.
     hidden_score_loss : share of the mean confidence lost when hidden: times (1 - visible share).
     score_concentration : sum of both shapes of the Beta; larger is narrower.
+    quality_coupling : how strongly the latent quality that sets the confidence also sets the
+        errors of centre, size and heading: they are multiplied by exp(-c z - c^2), z the standard
+        normal quality, which leaves their standard deviations over all boxes as they were.
+    confusion : probability that the box bears another label, for each such label.
+    duplicate_probability : of a second box of the same object close by, in a frame.
+    duplicate_spread : standard deviation of the second box about the first, x and y, m.  Its
+        confidence is a uniform share of the first's.
+    split_probability : of an object reported as two boxes, its front and its rear half.
     """
 
     detection_probability: Annotated[NumberOrCurve, SHARE] = _ONE
@@ -76,9 +89,27 @@ class ObjectModel:
     score_mean: Annotated[NumberOrCurve, SHARE] = _SURE
     hidden_score_loss: Annotated[float, SHARE] = 0.0
     score_concentration: Annotated[float, POSITIVE] = 100.0
+    quality_coupling: Annotated[float, Bound(0.0, 2.0)] = 0.0
+    confusion: Annotated[Mapping[NamedLabel, float], SHARE] = field(default_factory=dict)
+    duplicate_probability: Annotated[float, SHARE] = 0.0
+    duplicate_spread: Annotated[float, NOT_NEGATIVE] = 0.8
+    split_probability: Annotated[float, SHARE] = 0.0
 
     def __post_init__(self) -> None:
+        ordered = {Label(label): float(self.confusion[label]) for label in sorted(self.confusion)}
+        object.__setattr__(self, "confusion", MappingProxyType(ordered))
         check_bounds(self)
+        if sum(ordered.values()) > 1.0:
+            raise InputError(
+                "impossible confusion",
+                field="confusion",
+                expected="probabilities that add up to at most 1",
+                got=list(ordered.values()),
+            )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Mapping proxies do not pickle.
+        return _make_object_model, ({**self.__dict__, "confusion": dict(self.confusion)},)
 
     def probability(self, distance: FloatArray, visibility: FloatArray) -> FloatArray:
         """Detection probability (R,) at distances (R,) and visible shares (R,)."""
@@ -98,19 +129,21 @@ ObjectModel.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]
 def sense(model: ObjectModel, seen: Targets, streams: Streams) -> Boxes:
     """The boxes of those targets, all of one label, that are detected."""
     seen = seen.take(_detected(model, seen, streams))
+    quality = seen.members.uniforms(streams, Purpose.SCORE, 1)[:, 0]
+    poorness = np.exp(-model.quality_coupling * (normal(quality) + model.quality_coupling))
     size, shift = _biased_size(model, seen)
-    position = seen.position + shift + _position_error(model, seen, streams)
-    return Boxes(
+    size_error = poorness[:, None] * _size_error(model, seen, streams)
+    position_error = poorness[:, None] * _position_error(model, seen, streams)
+    boxes = Boxes(
         frame=seen.frame,
         origin=seen.row,
-        position=position,
-        size=np.maximum(
-            size + _size_error(model, seen, streams), _SMALLEST_SHARE_OF_SIZE * seen.size
-        ),
-        yaw=_yaw(model, seen, streams),
-        score=_score(model, seen, streams),
-        label=seen.label,
+        position=seen.position + shift + position_error,
+        size=np.maximum(size + size_error, _SMALLEST_SHARE_OF_SIZE * seen.size),
+        yaw=_yaw(model, seen, poorness, streams),
+        score=_score(model, seen, quality),
+        label=_label(model, seen, streams),
     )
+    return _doubled(model, boxes, seen, streams)
 
 
 def _detected(model: ObjectModel, seen: Targets, streams: Streams) -> NDArray[np.bool_]:
@@ -161,15 +194,54 @@ def _size_error(model: ObjectModel, seen: Targets, streams: Streams) -> FloatArr
     return draws * np.stack([curve(seen.distance) for curve in curves], axis=1)
 
 
-def _yaw(model: ObjectModel, seen: Targets, streams: Streams) -> FloatArray:
+def _yaw(model: ObjectModel, seen: Targets, poorness: FloatArray, streams: Streams) -> FloatArray:
     noise, flip = seen.members.uniforms(streams, Purpose.HEADING, 2).T
-    yaw = seen.yaw + model.yaw_noise(seen.distance) * normal(noise)
+    yaw = seen.yaw + poorness * model.yaw_noise(seen.distance) * normal(noise)
     return wrap_angle(np.where(flip < model.flip_probability, yaw + np.pi, yaw))
 
 
-def _score(model: ObjectModel, seen: Targets, streams: Streams) -> FloatArray:
-    draws = seen.members.uniforms(streams, Purpose.SCORE, 1)[:, 0]
+def _score(model: ObjectModel, seen: Targets, quality: FloatArray) -> FloatArray:
     mean = model.score_mean(seen.distance) * (
         1.0 - model.hidden_score_loss * (1.0 - seen.visibility)
     )
-    return beta(draws, mean, model.score_concentration)
+    return beta(quality, mean, model.score_concentration)
+
+
+def _label(model: ObjectModel, seen: Targets, streams: Streams) -> IntArray:
+    if not model.confusion:
+        return seen.label
+    draw = seen.members.uniforms(streams, Purpose.LABEL, 1)[:, 0]
+    names = np.array([int(label) for label in model.confusion])
+    which = np.searchsorted(np.cumsum(list(model.confusion.values())), draw, side="right")
+    return np.where(which < len(names), names[which.clip(max=len(names) - 1)], seen.label)
+
+
+def _doubled(model: ObjectModel, boxes: Boxes, seen: Targets, streams: Streams) -> Boxes:
+    """The boxes with split objects in halves, and with duplicates."""
+    if model.duplicate_probability == 0 and model.split_probability == 0:
+        return boxes
+    twice, x, y, share, split = seen.members.uniforms(streams, Purpose.DUPLICATE, 5).T
+    again = twice < model.duplicate_probability
+    aside = model.duplicate_spread * normal(np.stack([x, y], axis=1)[again])
+    first = boxes.take(again)
+    copy = replace(
+        first,
+        position=first.position + np.pad(aside, ((0, 0), (0, 1))),
+        score=first.score * share[again],
+    )
+    in_two = split < model.split_probability
+    whole = boxes.take(in_two)
+    forward = np.stack([np.cos(whole.yaw), np.sin(whole.yaw), np.zeros(len(whole))], axis=1)
+    halves = [
+        replace(
+            whole,
+            position=whole.position + side * whole.size[:, :1] / 4 * forward,
+            size=whole.size * np.array([0.5, 1.0, 1.0]),
+        )
+        for side in (1.0, -1.0)
+    ]
+    return concatenate([boxes.take(~in_two), *halves, copy])
+
+
+def _make_object_model(values: dict[str, object]) -> ObjectModel:
+    return ObjectModel(**values)  # type: ignore[arg-type]

@@ -1,0 +1,75 @@
+"""How far the scores of a recording can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmbm.errors import InputError
+from pmbm.types import CLUTTER, BoolArray, FloatArray, IntArray, Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Reliability:
+    """The reliability curve of scores; bins without boxes are left out.
+
+    score (B,) : mean score of the bin's boxes.
+    true_share (B,) : share of them that are an object's first box.
+    count (B,) : how many they are.
+    """
+
+    score: FloatArray
+    true_share: FloatArray
+    count: IntArray
+
+    @property
+    def expected_error(self) -> float:
+        """Expected calibration error: mean distance of score and true share over all boxes."""
+        if not self.count.sum():
+            return 0.0
+        distance = np.abs(self.score - self.true_share)
+        return float(np.sum(self.count * distance) / np.sum(self.count))
+
+
+def first_boxes(score: FloatArray, origin: IntArray) -> BoolArray:
+    """Which detections (N,) of a frame are the surest of their object: no clutter, no duplicate,
+    no second half."""
+    surest_first = np.argsort(-score, kind="stable")
+    _, at = np.unique(origin[surest_first], return_index=True)
+    first = np.zeros(len(origin), dtype=bool)
+    first[surest_first[at]] = True
+    return first & (origin != CLUTTER)
+
+
+def reliability(recordings: Recording | Sequence[Recording], bins: int = 10) -> Reliability:
+    """The reliability curve over all boxes of recordings whose origins are known, in `bins` of
+    equal width.
+
+    Raises InputError for a recording without origins.
+    """
+    if isinstance(recordings, Recording):
+        recordings = [recordings]
+    score, true = [np.zeros(0)], [np.zeros(0, dtype=bool)]
+    for recording in recordings:
+        if recording.origin is None:
+            raise InputError(
+                f"recording '{recording.name}' does not know where its boxes come from",
+                field="origin",
+            )
+        for detections, origin in zip(recording.detections, recording.origin, strict=True):
+            score.append(detections.score)
+            true.append(first_boxes(detections.score, origin))
+    return _binned(np.concatenate(score), np.concatenate(true), bins)
+
+
+def _binned(score: FloatArray, true: BoolArray, bins: int) -> Reliability:
+    bin_of = np.minimum((score * bins).astype(np.int64), bins - 1)
+    count = np.bincount(bin_of, minlength=bins)
+    some = count > 0
+    return Reliability(
+        score=np.bincount(bin_of, score, bins)[some] / count[some],
+        true_share=np.bincount(bin_of, true, bins)[some] / count[some],
+        count=count[some],
+    )

@@ -1,0 +1,275 @@
+"""Each knob of how objects are detected does what its docstring says.
+
+Seeds are fixed; every test of a hypothesis has alpha 1e-4, so that a change of seeds seldom fails.
+"""
+
+import numpy as np
+import pytest
+from detector_scenes import detected, pairs, still
+from scipy import stats
+
+from pmbm.geometry import corners
+from pmbm.types import Label
+from sim.detector import load_profile
+
+ALPHA = 1e-4
+RNG = np.random.default_rng(11)
+MANY = RNG.uniform(5, 95, 300)
+"""Distances of three hundred objects, m."""
+
+
+def record(scene, seed=1, **objects):
+    return load_profile({}, {"objects": objects}).detect(scene, seed)
+
+
+def same_mean(values, mean, deviation):
+    """Whether the mean of values with known standard deviations fits the expected mean."""
+    z = (np.mean(values) - np.mean(mean)) / (
+        np.sqrt(np.sum(np.square(deviation))) / np.size(values)
+    )
+    return abs(z) < stats.norm.isf(ALPHA / 2)
+
+
+def same_spread(values, deviation):
+    """Whether normal values of mean zero have that standard deviation."""
+    n = len(values)
+    low, high = stats.chi2.ppf([ALPHA / 2, 1 - ALPHA / 2], n)
+    return low < np.sum(np.square(values / deviation)) < high
+
+
+PROBABILITY = {"at": [20.0, 60.0, 90.0], "value": [0.98, 0.7, 0.2]}
+FACTOR = {"at": [0.1, 0.6], "value": [0.0, 1.0]}
+
+
+def test_recall_follows_range_and_visibility():
+    visibility = RNG.uniform(0, 1, len(MANY))
+    scene = still(MANY, visibility=visibility)
+    found = detected(
+        record(scene, detection_probability=PROBABILITY, visibility_factor=FACTOR)
+    ).mean(axis=0)
+    expected = np.interp(MANY, [20, 60, 90], [0.98, 0.7, 0.2]) * np.interp(
+        visibility, [0.1, 0.6], [0.0, 1.0]
+    )
+    deviation = np.sqrt(expected * (1 - expected) / len(scene))
+    for low, high in ((0, 30), (30, 60), (60, 80), (80, 100)):
+        for dim, clear in ((0.1, 0.35), (0.35, 0.6), (0.6, 1.0)):
+            at = (low <= MANY) & (high > MANY) & (visibility >= dim) & (visibility <= clear)
+            assert at.sum() >= 3
+            assert same_mean(found[at], expected[at], deviation[at]), (low, dim)
+    assert not found[visibility < 0.1].any()
+
+
+def test_misses_are_independent_at_burst_length_one():
+    found = detected(record(still(MANY), detection_probability=0.7))
+    missed_before = ~found[:-1]
+    share = stats.binomtest(int(found[1:][missed_before].sum()), int(missed_before.sum()), 0.7)
+    assert share.pvalue > ALPHA
+
+
+@pytest.mark.parametrize(("probability", "length"), [(0.8, 5.0), (0.5, 10.0), (0.95, 2.0)])
+def test_bursts_have_their_mean_length_and_leave_recall_alone(probability, length):
+    found = detected(
+        record(still(MANY), detection_probability=probability, miss_burst_length=length)
+    )
+    # Objects are independent of each other, the frames of one are not.
+    test = stats.ttest_1samp(found.mean(axis=0), probability)
+    assert test.pvalue > ALPHA
+    # Runs of misses end with probability 1 / length in each frame, whatever their age.
+    missed = ~found[:-1]
+    ends = found[1:]
+    assert stats.binomtest(int(ends[missed].sum()), int(missed.sum()), 1 / length).pvalue > ALPHA
+    old = missed[1:] & missed[:-1]
+    assert stats.binomtest(int(ends[1:][old].sum()), int(old.sum()), 1 / length).pvalue > ALPHA
+
+
+def test_a_burst_shorter_than_chance_is_no_burst():
+    iid = record(still(MANY), detection_probability=0.25)
+    short = record(still(MANY), detection_probability=0.25, miss_burst_length=3.9)
+    assert iid.digest() == short.digest()
+
+
+def test_bursts_keep_recall_where_the_probability_changes_with_time():
+    receding = np.linspace(10, 90, 100)
+    scene = still(np.broadcast_to(receding[:, None], (100, 400)))
+    found = detected(record(scene, detection_probability=PROBABILITY, miss_burst_length=4.0))
+    expected = np.interp(receding, [20, 60, 90], [0.98, 0.7, 0.2])
+    z = (found.mean(axis=1) - expected) / np.sqrt(expected * (1 - expected) / 400)
+    assert np.abs(z).max() < stats.norm.isf(ALPHA / 2 / len(z))
+
+
+def test_position_noise_lies_in_the_sensor_frame_and_grows():
+    visibility = np.where(np.arange(len(MANY)) % 2, 1.0, 0.4)
+    seen = pairs(
+        record(
+            still(MANY, visibility=visibility),
+            radial_noise={"at": [0.0, 100.0], "value": [0.1, 0.6]},
+            lateral_noise=0.2,
+            vertical_noise=0.05,
+            position_noise_scale=1.5,
+            hidden_noise=0.8,
+        )
+    )
+    factor = 1.5 * (1 + 0.8 * (1 - seen["visibility"]))
+    radial = factor * (0.1 + 0.005 * seen["distance"])
+    deviations = np.stack([radial, factor * 0.2, factor * 0.05], axis=1)
+    for low, high in ((0, 30), (30, 60), (60, 100)):
+        for hidden in (True, False):
+            at = (seen["distance"] >= low) & (seen["distance"] < high)
+            at &= (seen["visibility"] < 1) == hidden
+            for axis in range(3):
+                assert same_spread(seen["error"][at, axis], deviations[at, axis]), (low, axis)
+    standard = seen["error"] / deviations
+    for axis in range(3):
+        assert stats.kstest(standard[:, axis], "norm").pvalue > ALPHA
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        assert stats.pearsonr(standard[:, first], standard[:, second]).pvalue > ALPHA
+    # White: the error of a frame says nothing of the next one's.
+    series = np.stack([standard[seen["object"] == number, 0] for number in range(len(MANY))])
+    assert stats.pearsonr(series[:, 1:].ravel(), series[:, :-1].ravel()).pvalue > ALPHA
+
+
+def test_size_noise_and_heading():
+    seen = pairs(
+        record(
+            still(MANY),
+            length_noise=0.3,
+            width_noise={"at": [0.0, 100.0], "value": [0.05, 0.2]},
+            height_noise=0.1,
+            yaw_noise=0.1,
+            flip_probability=0.2,
+        )
+    )
+    error = seen["size"] - seen["true_size"]
+    assert same_spread(error[:, 0], 0.3)
+    assert same_spread(error[:, 1], 0.05 + 0.0015 * seen["distance"])
+    assert same_spread(error[:, 2], 0.1)
+    flipped = np.abs(seen["yaw_error"]) > np.pi / 2
+    assert stats.binomtest(int(flipped.sum()), len(flipped), 0.2).pvalue > ALPHA
+    assert same_spread(seen["yaw_error"][~flipped], 0.1)
+    left = np.angle(np.exp(1j * (seen["yaw_error"][flipped] - np.pi)))
+    assert same_spread(left, 0.1)
+
+
+def test_bias_shrinks_toward_the_visible_side():
+    visibility = np.where(np.arange(len(MANY)) % 2, 1.0, 0.5)
+    scene = still(MANY, visibility=visibility, frames=1)
+    knobs = {"size_bias": -0.1, "hidden_size_bias": -0.4}
+    anchored = pairs(record(scene, near_side_anchor=1.0, **knobs))
+    factor = np.where(anchored["visibility"] < 1, 0.7, 0.9)
+    np.testing.assert_allclose(anchored["size"][:, 0], 4.4 * factor)
+    np.testing.assert_allclose(anchored["size"][:, 1], 1.8 * factor)
+    np.testing.assert_allclose(anchored["size"][:, 2], 1.6)
+    # The corner nearest to the sensor stays, and no other corner does.
+    before = corners(*(anchored[f"true_{name}"] for name in ("position", "size", "yaw")))
+    after = corners(*(anchored[name] for name in ("position", "size", "yaw")))
+    sensor = scene.sensor_pose[0, :2]
+    nearest = np.linalg.norm(before - sensor, axis=2).argmin(axis=1)
+    stays = np.linalg.norm(after - before, axis=2) < 1e-9
+    rows = np.arange(len(nearest))
+    side_on = np.abs(np.sort(np.linalg.norm(before - sensor, axis=2), axis=1) @ [-1, 1, 0, 0]) < 0.3
+    assert stays[rows, nearest][~side_on].all()
+    assert (stays.sum(axis=1) == 1).all()
+    assert (anchored["error"][:, 0] < 0.05).all()
+    centred = pairs(record(scene, near_side_anchor=0.0, **knobs))
+    np.testing.assert_array_equal(centred["position"], centred["true_position"])
+    half = pairs(record(scene, near_side_anchor=0.5, **knobs))
+    np.testing.assert_allclose(half["error"], anchored["error"] / 2, atol=1e-12)
+
+
+def test_confidence_is_a_beta_variable_that_falls_with_range_and_hiding():
+    visibility = np.where(np.arange(len(MANY)) % 2, 1.0, 0.5)
+    seen = pairs(
+        record(
+            still(MANY, visibility=visibility),
+            score_mean={"at": [0.0, 100.0], "value": [0.9, 0.5]},
+            hidden_score_loss=0.4,
+            score_concentration=7.0,
+        )
+    )
+    mean = (0.9 - 0.004 * seen["distance"]) * (1 - 0.4 * (1 - seen["visibility"]))
+    uniform = stats.beta.cdf(seen["score"], 7 * mean, 7 * (1 - mean))
+    assert stats.kstest(uniform, "uniform").pvalue > ALPHA
+
+
+def test_quality_couples_errors_to_the_score_and_keeps_their_spread():
+    knobs = {"radial_noise": 0.3, "lateral_noise": 0.1, "yaw_noise": 0.1, "length_noise": 0.2}
+    knobs |= {"score_mean": 0.7, "score_concentration": 8.0}
+    loose = pairs(record(still(MANY), **knobs))
+    tight = pairs(record(still(MANY), quality_coupling=0.3, **knobs))
+    for error in (tight["error"][:, 0], 3 * tight["error"][:, 1], 3 * tight["yaw_error"]):
+        # Heavier tails than normal: the variance of the sample variance from its own moments.
+        square = np.square(error)
+        z = (square.mean() - 0.09) / (square.std() / np.sqrt(len(square)))
+        assert abs(z) < stats.norm.isf(ALPHA / 2)
+        assert stats.spearmanr(np.abs(error), tight["score"]).statistic < -0.15
+    assert stats.spearmanr(np.abs(loose["error"][:, 0]), loose["score"]).pvalue > ALPHA
+    np.testing.assert_array_equal(loose["score"], tight["score"])
+
+
+def test_labels_are_confused_as_often_as_said():
+    seen = pairs(record(still(MANY), confusion={"truck": 0.1, "pedestrian": 0.05}))
+    for label, probability in ((Label.TRUCK, 0.1), (Label.PEDESTRIAN, 0.05), (Label.CAR, 0.85)):
+        count = int((seen["label"] == label).sum())
+        assert stats.binomtest(count, len(seen["label"]), probability).pvalue > ALPHA
+
+
+def test_duplicates_are_extra_boxes_close_to_the_first():
+    scene = still(MANY)
+    knobs = {"radial_noise": 0.2, "detection_probability": 0.8, "score_mean": 0.7}
+    knobs |= {"score_concentration": 8.0}
+    base = pairs(record(scene, **knobs))
+    more = pairs(record(scene, duplicate_probability=0.25, duplicate_spread=0.6, **knobs))
+    key = more["frame"] * 1000 + more["object"]
+    # Falling score inside a frame puts the first box before its duplicate.
+    _, first = np.unique(key, return_index=True)
+    extra = np.setdiff1d(np.arange(len(key)), first)
+    assert len(first) == len(base["score"])
+    np.testing.assert_array_equal(
+        np.sort(more["position"][first], axis=0), np.sort(base["position"], axis=0)
+    )
+    assert stats.binomtest(len(extra), len(first), 0.25).pvalue > ALPHA
+    mother = first[np.searchsorted(key[first], key[extra])]
+    aside = more["position"][extra] - more["position"][mother]
+    assert same_spread(aside[:, :2].ravel(), 0.6)
+    np.testing.assert_array_equal(aside[:, 2], 0)
+    share = more["score"][extra] / more["score"][mother]
+    assert stats.kstest(share, "uniform").pvalue > ALPHA
+
+
+def test_trucks_split_into_halves_that_tile_them():
+    scene = still(MANY, label=Label.TRUCK)
+    whole = pairs(record(scene))
+    model = load_profile({}, {"label": {"truck": {"split_probability": 0.3}}})
+    split = pairs(model.detect(scene, 1))
+    key = split["frame"] * 1000 + split["object"]
+    _, start, count = np.unique(key, return_index=True, return_counts=True)
+    assert set(count.tolist()) == {1, 2}
+    assert stats.binomtest(int((count == 2).sum()), len(count), 0.3).pvalue > ALPHA
+    one, two = start[count == 2], np.flatnonzero(~np.isin(np.arange(len(key)), start))
+    two = two[np.argsort(key[two])]
+    np.testing.assert_array_equal(key[one], key[two])
+    np.testing.assert_allclose(
+        split["size"][one] + split["size"][two], [[4.4, 3.6, 3.2]] * len(one)
+    )
+    middle = (split["position"][one] + split["position"][two]) / 2
+    np.testing.assert_allclose(middle, split["true_position"][one])
+    apart = np.linalg.norm(split["position"][one] - split["position"][two], axis=1)
+    np.testing.assert_allclose(apart, 2.2)
+    car = load_profile({}, {"label": {"truck": {"split_probability": 0.3}}}).detect(still(MANY), 1)
+    assert len(pairs(car)["score"]) == len(whole["score"])
+
+
+def test_labels_have_knobs_of_their_own():
+    label = np.where(np.arange(len(MANY)) % 2, Label.CAR, Label.PEDESTRIAN)
+    model = load_profile(
+        {},
+        {
+            "objects": {"radial_noise": 0.4},
+            "label": {"pedestrian": {"radial_noise": 0.1, "detection_probability": 0.5}},
+        },
+    )
+    seen = pairs(model.detect(still(MANY, label=label), 1))
+    walking = seen["true_label"] == Label.PEDESTRIAN
+    assert same_spread(seen["error"][walking, 0], 0.1)
+    assert same_spread(seen["error"][~walking, 0], 0.4)
+    assert stats.binomtest(int(walking.sum()), 100 * 150, 0.5).pvalue > ALPHA
