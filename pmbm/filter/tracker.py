@@ -77,7 +77,7 @@ class PMBMTracker:
         updated = update(predicted, scan, association, sensor)
         self.density, self.reduced = reduce(updated, self._limits())
         self._time = detections.time
-        return self._report(self.density)
+        return self._report(self.density, view)
 
     def _elapsed(self, time: float) -> float:
         if time < self._time:
@@ -115,10 +115,14 @@ class PMBMTracker:
         config = self.config
         return Limits(**{name: getattr(config, name) for name in Limits.__slots__})
 
-    def _report(self, density: Density) -> Tracks:
+    def _report(self, density: Density, view: View) -> Tracks:
+        """The tracks that probably exist and are probably in view.  One that has left the view is
+        kept in mind, and reported again where it comes back."""
         marginal = marginals(density)
         reported = np.flatnonzero(marginal.existence > self.config.report_above)
         local = density.local.take(marginal.best[reported])
+        inside = np.flatnonzero(view.share_inside(local.mean, local.cov) > 0.5)
+        reported, local = reported[inside], local.take(inside)
         return Tracks(
             time=self._time,
             id=density.track_id[reported],
