@@ -39,10 +39,12 @@ class Scenario:
 
     document : the scenario's file as plain values, valid at every level of its sweep.
     file : where it came from, for messages.
+    level : the swept level that it is held at; None is the file's default.
     """
 
     document: Mapping[str, Any]
     file: str | None = None
+    level: Any = None
     form: schema.ScenarioForm = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -54,14 +56,17 @@ class Scenario:
             for level in form.sweep.levels:
                 at_level = schema.parse(self._document_at(level), self.file)
                 _check_clock(at_level, self.file)
-        self.detector()
+        self._level(self.level)
+        for level in self.levels or (None,):
+            self.detector(level)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Scenario, (dict(self.document), self.file)
+        return Scenario, (dict(self.document), self.file, self.level)
 
     @property
     def name(self) -> str:
-        return self.form.name
+        """The file's name, with the level behind an @ where it is held at one."""
+        return self.form.name if self.level is None else f"{self.form.name}@{self.level:g}"
 
     @property
     def stresses(self) -> str:
@@ -76,9 +81,16 @@ class Scenario:
     def default_level(self) -> Any:
         """The level of a plain run: None without a sweep."""
         sweep = self.form.sweep
-        if sweep is None:
-            return None
+        if sweep is None or self.level is not None:
+            return self.level
         return sweep.levels[0] if sweep.default is None else sweep.default
+
+    def at(self, level: Any) -> Scenario:
+        """The same scenario, held at a level: a Source of its own.
+
+        Raises InputError for an unknown level.
+        """
+        return Scenario(self.document, self.file, level)
 
     def record(self, seed: int, trial: int = 0, level: Any = None) -> Recording:
         """The truth of one run and what the detector delivers of it.
@@ -93,7 +105,7 @@ class Scenario:
         check_seed(seed, trial)
         document = self._document_at(self._level(level))
         key = json.dumps({k: document[k] for k in _SCENE_KEYS if k in document}, sort_keys=True)
-        return _scene(key, self.name, int(seed), int(trial))
+        return _scene(key, self.form.name, int(seed), int(trial))
 
     def detector(self, level: Any = None) -> DetectorModel:
         """The detector model at a level."""
@@ -115,7 +127,7 @@ class Scenario:
             return self.default_level
         if level not in self.levels:
             raise InputError(
-                f"scenario '{self.name}' has no such level",
+                f"scenario '{self.form.name}' has no such level",
                 expected=", ".join(map(str, self.levels)) or "no level: it sweeps nothing",
                 got=level,
             )

@@ -258,7 +258,7 @@ class ScriptedScene(Surroundings):
 
 
 AnyScene = Annotated[GymnasiumScene | RoadScene | ScriptedScene, Field(discriminator="kind")]
-Level = bool | int | float | str
+Level = int | float
 
 
 class Sweep(Form):

@@ -1,0 +1,109 @@
+"""`pmbm scenarios`: the catalogue, or one scenario in words and as a picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from sim import Scenario
+
+
+@click.command()
+@click.argument("name", required=False, metavar="[NAME|FILE.toml]")
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of scenario files.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--level", type=float, help="A level of the swept parameter.  [default: the file's]")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("reports"),
+    show_default=True,
+    help="Folder for the picture.",
+)
+def command(name: str | None, schema: bool, seed: int, level: float | None, out: Path) -> None:
+    """List what ships, or show what one scenario stresses and draw it.
+
+    \b
+    Examples:
+      pmbm scenarios
+      pmbm scenarios truck_occlusion --level 4
+      pmbm scenarios my_scene.toml --out pictures
+      pmbm scenarios --schema > scenario.schema.json
+    """
+    if schema:
+        from sim.schema import json_schema
+
+        click.echo(json.dumps(json_schema(), indent=1))
+        return
+    from sim import load_scenario
+
+    if name is None:
+        _list()
+        return
+    scenario = load_scenario(name)
+    if level is not None:
+        scenario = scenario.at(level)
+    out.mkdir(parents=True, exist_ok=True)
+    _describe(scenario)
+    click.echo(f"picture     {_draw(scenario, seed, out)}")
+
+
+def _list() -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from sim import load_scenario, scenario_names
+
+    table = Table("name", "scene", "sweeps", "stresses", box=None, pad_edge=False)
+    for name in scenario_names():
+        scenario = load_scenario(name)
+        table.add_row(name, _kind(scenario), _swept(scenario), scenario.stresses)
+    Console().print(table)
+    click.echo("\npmbm scenarios NAME shows one; pmbm run NAME tracks it.")
+
+
+def _describe(scenario: Scenario) -> None:
+    form = scenario.form
+    rows = {
+        "stresses": form.stresses,
+        "scene": _kind(scenario),
+        "duration": f"{form.duration:g} s at {form.rate:g} Hz",
+        "detector": form.detector.get("profile", "nominal"),
+        "sweeps": _swept(scenario) or "nothing",
+    }
+    if form.sweep is not None:
+        rows["at level"] = f"{scenario.default_level:g}"
+        rows["check"] = (
+            "no significant improvement from one level to the next"
+            if form.check.monotone
+            else f"not monotone: {form.check.why}"
+        )
+    click.echo(scenario.name)
+    for key, text in rows.items():
+        click.echo(f"{key:11} {text}")
+
+
+def _kind(scenario: Scenario) -> str:
+    scene: Any = scenario.form.scene
+    return scene.id if scene.kind == "gymnasium" else f"own {scene.kind}"
+
+
+def _swept(scenario: Scenario) -> str:
+    sweep = scenario.form.sweep
+    if sweep is None:
+        return ""
+    levels = ", ".join(f"{level:g}" for level in sweep.levels)
+    return f"{sweep.parameter.split('.')[-1]} {levels} {sweep.unit}".strip()
+
+
+def _draw(scenario: Scenario, seed: int, out: Path) -> Path:
+    from reports.drawing import save
+    from reports.figures import scene_picture
+
+    path = out / f"{scenario.name}.png"
+    save(scene_picture(scenario.record(seed)), path)
+    return path
