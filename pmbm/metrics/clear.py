@@ -47,6 +47,7 @@ class ClearCounts:
     frames, truths, tracks : frames, and rows of either side.
     matches : matched pairs, those that are identity switches included.
     misses, false_positives, switches, fragmentations : events.
+    transfers : new matches of a track that was last newly matched to another object.
     objects, mostly_tracked, mostly_lost : truth ids; tracked in at least 80 %, in less than 20 %
         of their frames.
     distance_sum : of matched pairs, m.
@@ -60,6 +61,7 @@ class ClearCounts:
     false_positives: int
     switches: int
     fragmentations: int
+    transfers: int
     objects: int
     mostly_tracked: int
     mostly_lost: int
@@ -77,12 +79,24 @@ def clear_matches(scene: Scene, gate: float = 2.0) -> Matches:
     """
     if not 0 < gate < np.inf:
         raise InputError("bad gate", field="gate", expected="above 0 m", got=gate)
-    gated = scene.pairs.take(scene.pairs.distance_xyz < gate)
-    chosen = _continue_tracks(scene, gated)
-    return matches_of(scene, gated.take(chosen))
+    return continuing_matches(scene, np.flatnonzero(scene.pairs.distance_xyz < gate))
 
 
-def matches_of(scene: Scene, pairs: Pairs) -> Matches:
+def continuing_matches(
+    scene: Scene, gated: IntArray, distance: FloatArray | None = None
+) -> Matches:
+    """`clear_matches` with any gate and any distance.
+
+    gated (G,) : the pairs (rows of `scene.pairs`) that may match.
+    distance (Q,) : of the scene's pairs; between centres in (x, y, z) unless given.
+    """
+    distance = scene.pairs.distance_xyz if distance is None else distance
+    pairs, cost = scene.pairs.take(gated), distance[gated]
+    chosen = _continue_tracks(scene, pairs, cost)
+    return matches_of(scene, pairs.take(chosen), cost[chosen])
+
+
+def matches_of(scene: Scene, pairs: Pairs, distance: FloatArray) -> Matches:
     """These pairs as matches, with the identity switches among them."""
     truth_id, track_id = scene.truth.index[pairs.truth], scene.tracks.index[pairs.track]
     order = np.lexsort((pairs.frame, truth_id))
@@ -94,7 +108,7 @@ def matches_of(scene: Scene, pairs: Pairs) -> Matches:
         frame=pairs.frame,
         truth=pairs.truth,
         track=pairs.track,
-        distance=pairs.distance_xyz,
+        distance=distance,
         switch=switch,
     )
 
@@ -120,6 +134,7 @@ def clear_counts(scene: Scene, matches: Matches) -> ClearCounts:
         false_positives=len(scene.tracks) - len(matches),
         switches=int(matches.switch.sum()),
         fragmentations=fragmentations(scene, tracked),
+        transfers=_transfers(scene, matches),
         objects=objects,
         mostly_tracked=int((share >= 0.8).sum()),
         mostly_lost=int((share < 0.2).sum()),
@@ -138,7 +153,20 @@ def fragmentations(scene: Scene, tracked: BoolArray) -> int:
     return int((same & (np.diff(object_place) > 1)).sum())
 
 
-def _continue_tracks(scene: Scene, gated: Pairs) -> IntArray:
+def _transfers(scene: Scene, matches: Matches) -> int:
+    """New matches whose track was last newly matched to another object."""
+    truth_id, track_id = scene.truth.index[matches.truth], scene.tracks.index[matches.track]
+    order = np.lexsort((matches.frame, truth_id))
+    kept = np.zeros(len(matches), np.bool_)
+    same_truth = truth_id[order][1:] == truth_id[order][:-1]
+    kept[order[1:]] = same_truth & ~matches.switch[order[1:]]
+    new = np.flatnonzero(~kept)
+    new = new[np.lexsort((matches.frame[new], track_id[new]))]
+    same_track = track_id[new][1:] == track_id[new][:-1]
+    return int((same_track & (truth_id[new][1:] != truth_id[new][:-1])).sum())
+
+
+def _continue_tracks(scene: Scene, gated: Pairs, cost: FloatArray) -> IntArray:
     """The chosen rows of `gated`: last matches first, the rest by the best assignment."""
     truth_id = scene.truth.index[gated.truth].tolist()
     track_id = scene.tracks.index[gated.track].tolist()
@@ -164,9 +192,7 @@ def _continue_tracks(scene: Scene, gated: Pairs) -> IntArray:
         new = rest
         if len(rest) > 1:
             rows = np.array(rest)
-            new = rows[
-                most_then_nearest(gated.truth[rows], gated.track[rows], gated.distance_xyz[rows])
-            ].tolist()
+            new = rows[most_then_nearest(gated.truth[rows], gated.track[rows], cost[rows])].tolist()
         for pair in new:
             last[truth_id[pair]] = track_id[pair]
         chosen.extend(new)

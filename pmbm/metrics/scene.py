@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmbm.errors import InputError
+from pmbm.geometry import paired_iou
 from pmbm.types import GroundTruth, Recording, Tracks, TrackSequence
 
 FloatArray = NDArray[np.float64]
@@ -134,6 +135,22 @@ class Scene:
     def with_rows(self, truth: ArrayLike, tracks: ArrayLike) -> Scene:
         """The same frames with only these rows of either side."""
         return Scene(time=self.time, truth=self.truth.take(truth), tracks=self.tracks.take(tracks))
+
+
+def pair_overlap(scene: Scene, *, vertical: bool = True) -> FloatArray:
+    """Intersection over union of the scene's pairs (Q,): of rotated boxes' volumes, or with
+    `vertical=False` of their bird's-eye areas."""
+    truth, tracks = scene.truth, scene.tracks
+    a, b = scene.pairs.truth, scene.pairs.track
+    return paired_iou(
+        truth.position[a],
+        truth.size[a],
+        truth.yaw[a],
+        tracks.position[b],
+        tracks.size[b],
+        tracks.yaw[b],
+        vertical=vertical,
+    )
 
 
 def pair_rows(truth_frame: IntArray, tracks_per_frame: IntArray) -> tuple[IntArray, IntArray]:

@@ -1,0 +1,226 @@
+"""The nuScenes tracking rules: AMOTA and AMOTP (nuscenes-devkit, tracking_nips_2019).
+
+CLEAR MOT by the standard continuing rule over distance in (x, y) < 2 m, at 40 thresholds on a
+track's mean score that give recalls from 0.1 to 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmbm.metrics.clear import Matches, clear_counts, continuing_matches
+from pmbm.metrics.kitti import track_mean_scores
+from pmbm.metrics.scene import Scene
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+RECALLS: Final[FloatArray] = np.linspace(0.1, 1.0, 40).round(12)[::-1]
+"""Recall levels, the highest first."""
+WORST_DISTANCE: Final = 2.0
+WORST: Final = {"motar": 0.0, "mota": 0.0, "motp": 2.0, "faf": 500.0, "tid": 20.0, "lgd": 20.0}
+"""What the benchmark gives where no recall level is reached."""
+SECONDS_PER_FRAME: Final = 0.5
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NuscenesScores:
+    """One class over all scenes.
+
+    amota : mean of MOTAR over the 40 recall levels, 0 for those not reached.
+    amotp : mean of MOTP over them, 2 m for those not reached.
+    confidence, motar, motp (40,) : by level, the highest recall first; NaN where not reached.
+    best : place of the level with the highest MOTA (the first of equals).
+    at_best : the traditional scores there.
+    """
+
+    amota: float
+    amotp: float
+    confidence: FloatArray
+    motar: FloatArray
+    motp: FloatArray
+    best: int
+    at_best: dict[str, float | None]
+
+
+def nuscenes_scores(scenes: Sequence[Scene], gate: float = 2.0) -> NuscenesScores | None:
+    """Score one class; None without truth.
+
+    `scene.tracks.score` holds scores of boxes; a track counts with their mean over its scene.
+    """
+    scenes = [_without_empty_frames(scene) for scene in scenes]
+    truths = sum(len(scene.truth) for scene in scenes)
+    if truths == 0:
+        return None
+    confidence = [track_mean_scores(scene) for scene in scenes]
+    thresholds = _thresholds(scenes, confidence, truths, gate)
+    levels: dict[float, dict[str, float]] = {}
+    for threshold in np.unique(thresholds[np.isfinite(thresholds)]):
+        kept = [
+            scene.with_rows(np.ones(len(scene.truth), np.bool_), own >= threshold)
+            for scene, own in zip(scenes, confidence, strict=True)
+        ]
+        levels[float(threshold)] = _at_threshold(kept, gate)
+    if not levels:
+        return _nothing_reached(scenes, truths, thresholds)
+    curves = {
+        name: np.array([levels[t][name] if t in levels else np.nan for t in thresholds.tolist()])
+        for name in next(iter(levels.values()))
+    }
+    best = int(np.nanargmax(curves["mota"]))
+    return NuscenesScores(
+        amota=float(np.nan_to_num(curves["motar"], nan=0.0).mean()),
+        amotp=float(np.nan_to_num(curves["motp"], nan=WORST_DISTANCE).mean()),
+        confidence=thresholds,
+        motar=curves["motar"],
+        motp=curves["motp"],
+        best=best,
+        at_best={name: _number(curve[best]) for name, curve in curves.items()},
+    )
+
+
+def _thresholds(
+    scenes: Sequence[Scene], confidence: Sequence[FloatArray], truths: int, gate: float
+) -> FloatArray:
+    """The confidence at which each recall level is met, (40,); NaN where it is not reached.
+
+    Recall counts matches that are no identity switch.
+    """
+    scores = np.concatenate(
+        [
+            own[matches.track[~matches.switch]]
+            for scene, own in zip(scenes, confidence, strict=True)
+            for matches in [_matches(scene, gate)]
+        ]
+    )
+    if len(scores) == 0:
+        return np.full(len(RECALLS), np.nan)
+    recall = np.arange(1, len(scores) + 1) / truths
+    thresholds = np.interp(RECALLS, recall, np.sort(scores)[::-1], right=0)
+    thresholds[recall.max() < RECALLS] = np.nan
+    return thresholds
+
+
+def _at_threshold(scenes: Sequence[Scene], gate: float) -> dict[str, float]:
+    """The traditional scores of these tracks.
+
+    Quirks kept: MOTA and MOTAR are cut at 0; MOTAR's recall leaves identity switches out.
+    """
+    frames = truths = hits = misses = false = switches = fragments = 0
+    tracked = lost = objects_found = 0
+    distance = delay = gap = 0.0
+    for scene in scenes:
+        scene = _without_empty_frames(scene)
+        matches = _matches(scene, gate)
+        counts = clear_counts(scene, matches)
+        frames += counts.frames
+        truths += counts.truths
+        hits += counts.matches - counts.switches
+        misses += counts.misses
+        false += counts.false_positives
+        switches += counts.switches
+        fragments += counts.fragmentations
+        tracked += counts.mostly_tracked
+        lost += counts.mostly_lost
+        distance += counts.distance_sum
+        for first, longest in _waits(scene, matches):
+            objects_found += 1
+            delay += first * SECONDS_PER_FRAME
+            gap += longest * SECONDS_PER_FRAME
+    errors = misses + switches + false
+    recall = hits / truths
+    found = hits + switches
+    return {
+        "gt": truths,
+        "tp": hits,
+        "fn": misses,
+        "fp": false,
+        "ids": switches,
+        "frag": fragments,
+        "mt": tracked,
+        "ml": lost,
+        "recall": found / truths,
+        "mota": max(0.0, 1 - errors / truths),
+        "motar": (
+            max(0.0, 1 - (errors - (1 - recall) * truths) / (recall * truths))
+            if recall
+            else float("nan")
+        ),
+        "motp": distance / found if found else float("nan"),
+        "faf": false / frames * 100,
+        "tid": delay / objects_found if objects_found else float("nan"),
+        "lgd": gap / objects_found if objects_found else float("nan"),
+    }
+
+
+def _waits(scene: Scene, matches: Matches) -> list[tuple[int, int]]:
+    """For each object ever matched: frames from its first to its first match, and the longest run
+    of frames without a match between its first and last frame."""
+    place = scene.truth.index
+    matched = [np.zeros(0, np.int64)] * len(scene.truth.ids)
+    order = np.lexsort((matches.frame, place[matches.truth]))
+    rows = matches.truth[order]
+    for part in np.split(rows, np.flatnonzero(np.diff(place[rows])) + 1):
+        if len(part):
+            matched[place[part[0]]] = scene.truth.frame[part]
+    waits = []
+    for own, frames in enumerate(matched):
+        if len(frames):
+            life = scene.truth.frame[place == own]
+            gaps = np.diff(np.concatenate([[life[0] - 1], frames, [life[-1] + 1]])) - 1
+            waits.append((int(frames[0] - life[0]), int(gaps.max())))
+    return waits
+
+
+def _matches(scene: Scene, gate: float) -> Matches:
+    distance = scene.pairs.distance
+    return continuing_matches(scene, np.flatnonzero(distance < gate), distance)
+
+
+def _without_empty_frames(scene: Scene) -> Scene:
+    """The benchmark numbers only frames in which either side has a box."""
+    frames = len(scene)
+    used = (scene.truth.count(frames) + scene.tracks.count(frames)) > 0
+    number = np.cumsum(used) - 1
+    return Scene(
+        time=scene.time[used],
+        truth=replace(scene.truth, frame=number[scene.truth.frame]),
+        tracks=replace(scene.tracks, frame=number[scene.tracks.frame]),
+    )
+
+
+def _nothing_reached(
+    scenes: Sequence[Scene], truths: int, thresholds: FloatArray
+) -> NuscenesScores:
+    levels = len(RECALLS)
+    at_best: dict[str, Any] = {
+        **WORST,
+        "gt": truths,
+        "tp": 0,
+        "fn": truths,
+        "mt": 0,
+        "ml": sum(len(scene.truth.ids) for scene in scenes),
+        "recall": 0.0,
+        # How errors of these kinds would be spread is unknown.
+        "fp": None,
+        "ids": None,
+        "frag": None,
+    }
+    return NuscenesScores(
+        amota=0.0,
+        amotp=WORST_DISTANCE,
+        confidence=thresholds,
+        motar=np.zeros(levels),
+        motp=np.full(levels, WORST_DISTANCE),
+        best=0,
+        at_best=at_best,
+    )
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

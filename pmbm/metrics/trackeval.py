@@ -1,0 +1,208 @@
+"""CLEAR MOT, identity and HOTA as the TrackEval program computes them, conventions included.
+
+Luiten, Hoffhues, "TrackEval", 2020.  Scores are over a similarity in [0, 1] of every pair.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmbm.metrics.clear import Matches, matches_of
+from pmbm.metrics.hota import HotaCounts, hota_counts
+from pmbm.metrics.identity import IdentityCounts, identity_counts
+from pmbm.metrics.matching import best_matching
+from pmbm.metrics.scene import Scene
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_EPS: Final = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackEvalCounts:
+    """What TrackEval adds up over sequences.
+
+    one_sided : truth or tracks are empty, where the program returns early.
+    frames : 0 where one-sided.
+    matches, misses, false_positives, switches, fragmentations, similarity_sum : CLEAR.
+    mostly_tracked, partly_tracked, mostly_lost : objects.
+    identity, hota : of the other two families.
+    """
+
+    one_sided: bool
+    frames: int
+    matches: int
+    misses: int
+    false_positives: int
+    switches: int
+    fragmentations: int
+    similarity_sum: float
+    mostly_tracked: int
+    partly_tracked: int
+    mostly_lost: int
+    identity: IdentityCounts
+    hota: HotaCounts
+
+
+def trackeval_counts(
+    scene: Scene, similarity: FloatArray, threshold: float = 0.5
+) -> TrackEvalCounts:
+    """Count one sequence, similarity (Q,) of the scene's pairs."""
+    one_sided = len(scene.truth) == 0 or len(scene.tracks) == 0
+    matches = trackeval_matches(scene, similarity, threshold)
+    objects = len(scene.truth.ids)
+    share = np.bincount(scene.truth.index[matches.truth], minlength=objects) / np.bincount(
+        scene.truth.index, minlength=objects
+    )
+    mostly_tracked = int((share > 0.8).sum())
+    partly_tracked = int((share >= 0.2).sum()) - mostly_tracked
+    return TrackEvalCounts(
+        one_sided=one_sided,
+        frames=0 if one_sided else len(scene),
+        matches=len(matches),
+        misses=len(scene.truth) - len(matches),
+        false_positives=len(scene.tracks) - len(matches),
+        switches=int(matches.switch.sum()),
+        fragmentations=_restarts(scene, matches),
+        similarity_sum=float(matches.distance.sum()),
+        mostly_tracked=mostly_tracked,
+        partly_tracked=partly_tracked,
+        mostly_lost=objects - mostly_tracked - partly_tracked,
+        identity=identity_counts(scene, np.flatnonzero(similarity >= threshold)),
+        hota=hota_counts(scene, similarity),
+    )
+
+
+def trackeval_matches(scene: Scene, similarity: FloatArray, threshold: float = 0.5) -> Matches:
+    """Match frame by frame; `distance` of the result holds the similarity.
+
+    Quirks kept: only pairs of the single previous frame in which both sides have boxes are
+    continued (a bonus of 1000 each, so all that are inside the gate), and the rest maximises the
+    total similarity, not the number of pairs.
+    """
+    gated = np.flatnonzero((similarity >= threshold - _EPS) & (similarity > _EPS))
+    pairs, value = scene.pairs.take(gated), similarity[gated]
+    truth_id = scene.truth.index[pairs.truth]
+    track_id = scene.tracks.index[pairs.track]
+    cuts = np.searchsorted(pairs.frame, np.arange(len(scene) + 1))
+    previous: dict[int, int] = {}
+    chosen: list[IntArray] = []
+    for frame in _two_sided_frames(scene):
+        rows = np.arange(cuts[frame], cuts[frame + 1])
+        kept = np.array(
+            [previous.get(i) == j for i, j in zip(truth_id[rows], track_id[rows], strict=True)],
+            np.bool_,
+        )
+        free = ~np.isin(truth_id[rows], truth_id[rows[kept]])
+        free &= ~np.isin(track_id[rows], track_id[rows[kept]])
+        rest = rows[free]
+        new = rest[best_matching(truth_id[rest], track_id[rest], value[rest])]
+        taken = np.sort(np.concatenate([rows[kept], new]))
+        previous = dict(zip(truth_id[taken].tolist(), track_id[taken].tolist(), strict=True))
+        chosen.append(taken)
+    taken = np.concatenate(chosen) if chosen else np.zeros(0, np.int64)
+    return matches_of(scene, pairs.take(taken), value[taken])
+
+
+def trackeval_scores(counts: TrackEvalCounts) -> dict[str, Any]:
+    """All fields by TrackEval's own names; those over thresholds are arrays (19,).
+
+    Quirks kept: ratios without a denominator are 0, LocA without matches is 1, and where one side
+    is empty the program returns zeros (so MOTA is 0 whatever the number of false boxes) and an
+    MLR of 1.
+    """
+    tp, fn, fp, idsw = counts.matches, counts.misses, counts.false_positives, counts.switches
+    truths, objects = tp + fn, counts.mostly_tracked + counts.partly_tracked + counts.mostly_lost
+    log_idsw = np.log10(idsw) if idsw > 0 else 0.0
+    clear = {
+        "MOTA": (tp - fp - idsw) / max(1, truths),
+        "MOTP": counts.similarity_sum / max(1, tp),
+        "MODA": (tp - fp) / max(1, truths),
+        "CLR_Re": tp / max(1, truths),
+        "CLR_Pr": tp / max(1, tp + fp),
+        "MTR": counts.mostly_tracked / max(1, objects),
+        "PTR": counts.partly_tracked / max(1, objects),
+        "MLR": counts.mostly_lost / max(1, objects),
+        "sMOTA": (counts.similarity_sum - fp - idsw) / max(1, truths),
+        "CLR_F1": tp / max(1, tp + 0.5 * fn + 0.5 * fp),
+        "FP_per_frame": fp / max(1, counts.frames),
+        "MOTAL": (tp - fp - log_idsw) / max(1, truths),
+    }
+    if counts.one_sided:
+        clear = {**dict.fromkeys(clear, 0.0), "MLR": 1.0}
+    return {
+        **clear,
+        "MOTP_sum": counts.similarity_sum,
+        "CLR_TP": tp,
+        "CLR_FN": fn,
+        "CLR_FP": fp,
+        "IDSW": idsw,
+        "MT": counts.mostly_tracked,
+        "PT": counts.partly_tracked,
+        "ML": counts.mostly_lost,
+        "Frag": counts.fragmentations,
+        "CLR_Frames": counts.frames,
+        **_identity_scores(counts.identity),
+        **_hota_scores(counts.hota),
+    }
+
+
+def _identity_scores(counts: IdentityCounts) -> dict[str, Any]:
+    tp, fn, fp = counts.true_positives, counts.misses, counts.false_positives
+    return {
+        "IDF1": tp / max(1, tp + 0.5 * fp + 0.5 * fn),
+        "IDR": tp / max(1, tp + fn),
+        "IDP": tp / max(1, tp + fp),
+        "IDTP": tp,
+        "IDFN": fn,
+        "IDFP": fp,
+    }
+
+
+def _hota_scores(counts: HotaCounts) -> dict[str, Any]:
+    tp, fn, fp = counts.true_positives, counts.misses, counts.false_positives
+    hits = np.maximum(1, tp)
+    scores: dict[str, Any] = {
+        "DetRe": tp / np.maximum(1, tp + fn),
+        "DetPr": tp / np.maximum(1, tp + fp),
+        "DetA": tp / np.maximum(1, tp + fn + fp),
+        "AssA": counts.association / hits,
+        "AssRe": counts.association_recall / hits,
+        "AssPr": counts.association_precision / hits,
+        "LocA": np.maximum(1e-10, counts.similarity) / np.maximum(1e-10, tp),
+        "HOTA_TP": tp,
+        "HOTA_FN": fn,
+        "HOTA_FP": fp,
+    }
+    scores["HOTA"] = np.sqrt(scores["DetA"] * scores["AssA"])
+    scores["OWTA"] = np.sqrt(scores["DetRe"] * scores["AssA"])
+    scores["HOTA(0)"] = scores["HOTA"][0]
+    scores["LocA(0)"] = scores["LocA"][0]
+    scores["HOTALocA(0)"] = scores["HOTA(0)"] * scores["LocA(0)"]
+    for name in ("HOTA", "DetA", "AssA", "LocA"):
+        scores[f"{name}_mean"] = scores[name].mean()
+    return scores
+
+
+def _two_sided_frames(scene: Scene) -> IntArray:
+    """Frames in which both sides have boxes."""
+    frames = len(scene)
+    return np.flatnonzero((scene.truth.count(frames) > 0) & (scene.tracks.count(frames) > 0))
+
+
+def _restarts(scene: Scene, matches: Matches) -> int:
+    """Tracking restarts beyond the first of each object.
+
+    Quirk kept: the absence of an object counts as not tracked, and frames in which either side is
+    empty are not looked at.
+    """
+    place = np.searchsorted(_two_sided_frames(scene), matches.frame)
+    truth_id = scene.truth.index[matches.truth]
+    order = np.lexsort((matches.frame, truth_id))
+    same = np.diff(truth_id[order]) == 0
+    return int((same & (np.diff(place[order]) > 1)).sum())

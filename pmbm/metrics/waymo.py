@@ -1,0 +1,274 @@
+"""The Waymo Open Dataset's tracking rules (its `metrics` library: mot.cc, tracking_metrics.cc).
+
+CLEAR MOT per object type over 3D IoU, at score cutoffs 0, 0.01, ..., 1; the cutoff with the highest
+MOTA is reported, at two levels of difficulty and by range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmbm.metrics.matching import best_matching
+from pmbm.metrics.scene import Boxes, Scene, pair_overlap
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+CUTOFFS: Final[FloatArray] = np.append(np.arange(100) * 0.01, 1.0)
+"""Scores are compared with them in single precision, as they are stored."""
+RANGES: Final = {"[0, 30)": (0.0, 30.0), "[30, 50)": (30.0, 50.0), "[50, +inf)": (50.0, np.inf)}
+"""Shards by distance of a box's own centre from the vehicle, m."""
+LEVELS: Final = (1, 2)
+_SMALLEST_SIDE: Final = 0.01
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WaymoScene:
+    """One sequence and object type.
+
+    scene : truth and tracks; positions in the vehicle's frame where ranges are asked for.
+    overlap (Q,) : 3D IoU of the scene's pairs.
+    level (N,) : difficulty of each truth row; anything but 2 is level 1.
+    in_no_label_zone (K,) : track rows that overlap a no-label zone, not false where unmatched.
+    """
+
+    scene: Scene
+    overlap: FloatArray
+    level: IntArray
+    in_no_label_zone: BoolArray
+
+    def within(self, low: float, high: float) -> WaymoScene:
+        """Only boxes, of either side on their own, with low <= distance < high, m."""
+        truth = _between(self.scene.truth, low, high)
+        tracks = _between(self.scene.tracks, low, high)
+        pairs = self.scene.pairs
+        both = np.flatnonzero(truth[pairs.truth] & tracks[pairs.track])
+        return WaymoScene(
+            scene=self.scene.with_rows(truth, tracks),
+            overlap=self.overlap[both],
+            level=self.level[truth],
+            in_no_label_zone=self.in_no_label_zone[tracks],
+        )
+
+
+def _between(boxes: Boxes, low: float, high: float) -> BoolArray:
+    away: FloatArray = np.sqrt((boxes.position**2).sum(axis=1))
+    inside: BoolArray = (low <= away) & (away < high)
+    return inside
+
+
+def waymo_overlap(scene: Scene) -> FloatArray:
+    """3D IoU of the scene's pairs (Q,); 0 where a box has a side of at most 0.01 m."""
+    overlap = pair_overlap(scene)
+    flat_truth = scene.truth.size.min(axis=1, initial=np.inf) <= _SMALLEST_SIDE
+    flat_track = scene.tracks.size.min(axis=1, initial=np.inf) <= _SMALLEST_SIDE
+    overlap[flat_truth[scene.pairs.truth] | flat_track[scene.pairs.track]] = 0.0
+    return overlap
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WaymoCounts:
+    """What is counted at each of the C score cutoffs; sequences are combined by adding.
+
+    misses, false_positives, mismatches, matches, truths (C,) : events and rows.
+    cost (C,) : over matches, the sum of 1 - IoU.
+    """
+
+    misses: IntArray
+    false_positives: IntArray
+    mismatches: IntArray
+    cost: FloatArray
+    matches: IntArray
+    truths: IntArray
+
+    def __add__(self, other: WaymoCounts) -> WaymoCounts:
+        return WaymoCounts(
+            **{key: value + getattr(other, key) for key, value in vars(self).items()}
+        )
+
+
+def waymo_counts(
+    sequence: WaymoScene, least_overlap: float, cutoffs: FloatArray = CUTOFFS
+) -> dict[int, WaymoCounts]:
+    """Counts of one sequence by level of difficulty.
+
+    At level 1 truth of level 2 takes part in the matching: matched it counts as match and as
+    truth, missed it is no miss and no truth.  At level 2 everything counts.
+    """
+    score = sequence.scene.tracks.score.astype(np.float32)
+    hard = sequence.level == 2
+    columns: dict[int, list[tuple[float, ...]]] = {level: [] for level in LEVELS}
+    seen: dict[int, tuple[IntArray, int, float]] = {}
+    for cutoff in cutoffs.astype(np.float32):
+        kept = score >= cutoff
+        # The kept sets are nested, so their size tells them apart.
+        size = int(kept.sum())
+        if size not in seen:
+            seen[size] = _run(sequence, kept, least_overlap)
+        matched, mismatches, cost = seen[size]
+        pairs = sequence.scene.pairs
+        missed = np.ones(len(hard), np.bool_)
+        missed[pairs.truth[matched]] = False
+        spare = kept & ~sequence.in_no_label_zone
+        spare[pairs.track[matched]] = False
+        for level in LEVELS:
+            ignored = int((missed & hard).sum()) if level == 1 else 0
+            columns[level].append(
+                (
+                    int(missed.sum()) - ignored,
+                    int(spare.sum()),
+                    mismatches,
+                    cost,
+                    len(matched),
+                    len(hard) - ignored,
+                )
+            )
+    return {level: _counts_of(rows) for level, rows in columns.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaymoScores:
+    """The reported numbers: those of the score cutoff with the highest MOTA.
+
+    mota ; motp : mean of 1 - IoU over matches; misses, mismatches, false_positives : per truth.
+    truths : of the last cutoff that has any.  cutoff : None where no MOTA is above 0.
+    """
+
+    mota: float
+    motp: float
+    misses: float
+    mismatches: float
+    false_positives: float
+    truths: int
+    cutoff: float | None
+
+
+def waymo_scores(counts: WaymoCounts, cutoffs: FloatArray = CUTOFFS) -> WaymoScores:
+    """Choose the cutoff and take the ratios.
+
+    Quirks kept: the search starts at 0, so a MOTA of 0 or less is reported as 0 with all errors 0;
+    the number of truths is not that of the chosen cutoff but of the last one with truth; equally
+    good cutoffs are told apart by rounding.
+    """
+    some = np.flatnonzero(counts.truths)
+    truths = int(counts.truths[some[-1]]) if len(some) else 0
+    # In single precision and in this order, as there: rounding picks among equal cutoffs.
+    n = np.maximum(counts.truths, 1).astype(np.float32)
+    ratios = [
+        events.astype(np.float32) / n
+        for events in (counts.misses, counts.false_positives, counts.mismatches)
+    ]
+    mota = (1.0 - (ratios[0] + ratios[1] + ratios[2]).astype(np.float64)).astype(np.float32)
+    mota[counts.truths == 0] = 0.0
+    best = int(np.argmax(mota))
+    if mota[best] <= 0:
+        return WaymoScores(
+            mota=0.0,
+            motp=0.0,
+            misses=0.0,
+            mismatches=0.0,
+            false_positives=0.0,
+            truths=truths,
+            cutoff=None,
+        )
+    truths_there, matches = counts.truths[best], counts.matches[best]
+    return WaymoScores(
+        mota=float(mota[best]),
+        motp=float(counts.cost[best] / matches) if matches else 0.0,
+        misses=float(counts.misses[best] / truths_there),
+        mismatches=float(counts.mismatches[best] / truths_there),
+        false_positives=float(counts.false_positives[best] / truths_there),
+        truths=truths,
+        cutoff=float(cutoffs[best]),
+    )
+
+
+def _run(
+    sequence: WaymoScene, kept: BoolArray, least_overlap: float
+) -> tuple[IntArray, int, float]:
+    """One pass over the sequence: matched pairs, mismatches, the sum of 1 - IoU.
+
+    An object keeps the track of its last match, however long ago, while they overlap enough; the
+    memory is one to one.  The rest is assigned by the largest sum of overlaps.
+
+    Quirk kept: beside a change of an object's track, a track that takes up an object while its
+    last one has left the scene counts as a mismatch ("eviction").
+    """
+    scene, pairs = sequence.scene, sequence.scene.pairs
+    gated = np.flatnonzero((sequence.overlap >= least_overlap) & kept[pairs.track])
+    truth_id = scene.truth.index[pairs.truth[gated]].tolist()
+    track_id = scene.tracks.index[pairs.track[gated]].tolist()
+    overlap = sequence.overlap[gated]
+    cuts = np.searchsorted(pairs.frame[gated], np.arange(len(scene) + 1)).tolist()
+    present = [set(ids.tolist()) for ids in _ids_by_frame(scene)]
+    track_of: dict[int, int] = {}
+    truth_of: dict[int, int] = {}
+    chosen: list[int] = []
+    mismatches = 0
+    for frame, there in enumerate(present):
+        rows = range(cuts[frame], cuts[frame + 1])
+        taken = [row for row in rows if track_of.get(truth_id[row]) == track_id[row]]
+        busy_truth = {truth_id[row] for row in taken}
+        busy_track = {track_id[row] for row in taken}
+        rest = np.array(
+            [
+                row
+                for row in rows
+                if truth_id[row] not in busy_truth and track_id[row] not in busy_track
+            ],
+            dtype=np.int64,
+        )
+        if len(rest):
+            own_pairs = gated[rest]
+            new = best_matching(pairs.truth[own_pairs], pairs.track[own_pairs], overlap[rest])
+            taken += rest[new].tolist()
+        if not taken:
+            continue
+        chosen += taken
+        matched_now = {truth_id[row] for row in taken}
+        evicted = []
+        for row in taken:
+            i, j = truth_id[row], track_id[row]
+            mismatches += track_of.get(i, j) != j
+            former = truth_of.get(j, i)
+            mismatches += former not in there
+            if former not in matched_now:
+                evicted.append(former)
+        track_of.update({truth_id[row]: track_id[row] for row in taken})
+        for former in evicted:
+            del track_of[former]
+        truth_of = {j: i for i, j in track_of.items()}
+    matched = gated[np.array(sorted(chosen), dtype=np.int64)]
+    return matched, mismatches, float((1 - sequence.overlap[matched]).sum())
+
+
+def _ids_by_frame(scene: Scene) -> list[IntArray]:
+    """The places of the objects' ids in each frame."""
+    cuts = np.searchsorted(scene.truth.frame, np.arange(1, len(scene)))
+    return np.split(scene.truth.index, cuts) if len(scene) else []
+
+
+def _counts_of(rows: Sequence[tuple[float, ...]]) -> WaymoCounts:
+    misses, false_positives, mismatches, cost, matches, truths = np.array(rows, np.float64).T
+    whole = [column.astype(np.int64) for column in (misses, false_positives, mismatches)]
+    return WaymoCounts(
+        misses=whole[0],
+        false_positives=whole[1],
+        mismatches=whole[2],
+        cost=cost,
+        matches=matches.astype(np.int64),
+        truths=truths.astype(np.int64),
+    )
+
+
+def waymo_shards(sequence: WaymoScene) -> Iterator[tuple[str, WaymoScene]]:
+    """The sequence whole (named "") and by range."""
+    yield "", sequence
+    for name, (low, high) in RANGES.items():
+        yield name, sequence.within(low, high)
