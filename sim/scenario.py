@@ -104,7 +104,8 @@ class Scenario:
         """The truth alone."""
         check_seed(seed, trial)
         document = self._document_at(self._level(level))
-        key = json.dumps({k: document[k] for k in _SCENE_KEYS if k in document}, sort_keys=True)
+        # In the file's order, which numbers the objects.
+        key = json.dumps({k: document[k] for k in _SCENE_KEYS if k in document})
         return _scene(key, self.form.name, int(seed), int(trial))
 
     def detector(self, level: Any = None) -> DetectorModel:
@@ -214,6 +215,7 @@ def simulate(form: schema.ScenarioForm, seed: int, trial: int = 0) -> Scene:
     own_path = world.ego if isinstance(world, schema.ScriptedScene) else None
     poses = scripted.sensor_poses(own_path, world.sensor.pose, ticks, form.simulation_rate)
     paths: list[Trajectory] = []
+    drivable = None
     occluders = [_polygon(occluder) for occluder in world.occluders.values()]
     if not isinstance(world, schema.ScriptedScene):
         from sim import traffic
@@ -224,6 +226,7 @@ def simulate(form: schema.ScenarioForm, seed: int, trial: int = 0) -> Scene:
             else traffic.open_roads(world, form.simulation_rate, streams)
         )
         occluders += traffic.obstacles(opened)
+        drivable = tuple(traffic.drivable_area(opened))
         warmup = round(form.warmup * form.simulation_rate)
         paths, poses = traffic.drive(opened, ticks, warmup, world.sensor.max_range, poses)
         if world.crashes == "refused":
@@ -246,6 +249,7 @@ def simulate(form: schema.ScenarioForm, seed: int, trial: int = 0) -> Scene:
         fov_centre=float(np.deg2rad(world.sensor.fov_centre_deg)),
         fov_half_angle=min(float(np.deg2rad(world.sensor.fov_deg / 2)), float(np.pi)),
         max_range=world.sensor.max_range,
+        drivable_area=drivable,
     )
     return to_scene(
         form.name,

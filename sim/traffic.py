@@ -130,6 +130,20 @@ def obstacles(traffic: Traffic) -> list[FloatArray]:
     ]
 
 
+def drivable_area(traffic: Traffic) -> list[FloatArray]:
+    """The lanes, one polygon each, in our world frame."""
+    return [_outline(lane) * (1, -1) for lane in traffic.road.network.lanes_list()]
+
+
+def _outline(lane: AbstractLane) -> FloatArray:
+    length = float(lane.length)
+    pieces = 1 if type(lane) is StraightLane else max(2, round(length / 2.0))
+    along = np.linspace(0.0, length, pieces + 1)
+    left = [lane.position(s, -lane.width_at(s) / 2) for s in along]
+    right = [lane.position(s, lane.width_at(s) / 2) for s in along]
+    return np.array(left + right[::-1], dtype=np.float64)
+
+
 def _trajectory(path: _Path, heights: dict[Vehicle, float]) -> Trajectory:
     table = np.array(path.rows, dtype=np.float64)
     label = label_of(path.vehicle)

@@ -1,0 +1,244 @@
+"""Scenario files: what they may say, and what is said of one with a mistake."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+import sim
+from pmbm.errors import InputError
+from sim import schema
+from sim.scenario import Scenario, catalogue_folder, load_scenario, scenario_names
+from sim.toml_door import read_toml
+
+SMALL = """
+name = "small"
+stresses = "two objects, for the tests of the files"
+duration = 2.0
+
+[scene]
+kind = "scripted"
+sensor = { max_range = 60.0 }
+
+[scene.tracks.walker]
+label = "pedestrian"
+start = [10.0, 2.0]
+yaw_deg = 90.0
+speed = 1.5
+jitter = { x = 0.5 }
+
+[scene.tracks.car]
+start = [-20.0, -5.0]
+speed = 10.0
+
+[detector]
+profile = "nominal"
+
+[sweep]
+parameter = "scene.tracks.walker.speed"
+levels = [1.5, 3.0]
+"""
+
+
+def write(tmp_path, text):
+    file = tmp_path / "small.toml"
+    file.write_text(text)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("duration", "durration", ["durration", "unknown key", "'duration'"]),
+        ("yaw_deg = 90.0", "yaw = 1.57", ["scene.tracks.walker.yaw", "'yaw_deg'"]),
+        ("max_range", "max_rnage", ["scene.sensor.max_rnage", "'max_range'"]),
+        ("start = [10.0, 2.0]", "strat = [10.0, 2.0]", ["scene.tracks.walker.strat", "'start'"]),
+        ("duration = 2.0", "duration = -2.0", ["duration", "greater than 0", "-2.0"]),
+        ("duration = 2.0", 'duration = "long"', ["duration", "number", "'long'"]),
+        ("duration = 2.0", "duration = nan", ["duration", "finite"]),
+        ("duration = 2.0", "duration = 2.0\nrate = 7", ["rate", "one of 1, 2, 4, 5, 10, 20", "7"]),
+        ("duration = 2.0", "duration = 0.01", ["duration", "shorter than one frame"]),
+        ('"pedestrian"', '"pedestrain"', ["scene.tracks.walker.label", "'pedestrian'"]),
+        ("speed = 1.5", "speed = true", ["scene.tracks.walker.speed", "number"]),
+        ("[10.0, 2.0]", "[10.0]", ["scene.tracks.walker.start", "at least 2"]),
+        ('"scripted"', '"scriptd"', ["scene.kind", "'scripted'"]),
+        ('kind = "scripted"', "", ["scene.kind", "missing"]),
+        ('name = "small"', "", ["'name' is missing"]),
+        ('name = "small"', 'name = "Small one"', ["name", "pattern"]),
+        ("speed = 10.0", "speed = 10.0 10", ["not TOML", "line 19"]),
+        ("levels = [1.5, 3.0]", "levels = [1.5, -3.0]", ["scene.tracks.walker.speed", "-3.0"]),
+        ("levels = [1.5, 3.0]", "levels = [1.5]", ["sweep.levels", "at least 2"]),
+        ("levels = [1.5, 3.0]", "levels = [3.0, 3.0]", ["sweep.levels", "once"]),
+        ("levels = [1.5, 3.0]", "levels = [1.5, 3.0]\ndefault = 2.0", ["sweep.default", "2.0"]),
+        ("walker.speed", "walker.speeed", ["scene.tracks.walker.speeed", "'speed'"]),
+        ('parameter = "scene.', 'parameter = "scnee.', ["sweep.parameter", "'scene'"]),
+        ('profile = "nominal"', 'profile = "nomnal"', ["nomnal", "'nominal'"]),
+        ('profile = "nominal"', "objects = { detection_probability = 1.3 }", ["1.3"]),
+        ('profile = "nominal"', "clutter = { rate = -1.0 }", ["clutter.rate", "-1"]),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_one_error_that_names_it(tmp_path, old, new, words):
+    assert old in SMALL
+    file = write(tmp_path, SMALL.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        load_scenario(file)
+    for word in (*words, "small.toml"):
+        assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        ("[scene.ego]\nspeed = 1.0", ["scene.sensor.pose"]),
+        ("[scene.occluders.wall]", ["scene.occluders.wall", "exactly one of box and polygon"]),
+    ],
+)
+def test_contradictions_are_refused(tmp_path, extra, words):
+    text = SMALL.replace("max_range = 60.0", "max_range = 60.0, pose = [0.0, 0.0, 0.0]")
+    with pytest.raises(InputError) as caught:
+        load_scenario(write(tmp_path, text + "\n" + extra))
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_files_that_are_no_files(tmp_path):
+    with pytest.raises(InputError, match="crossing"):
+        load_scenario("crosing")
+    with pytest.raises(InputError, match=r"nowhere\.toml"):
+        load_scenario(tmp_path / "nowhere.toml")
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not TOML"):
+        load_scenario(tmp_path / "bytes.toml")
+    (tmp_path / "deep.toml").write_text("a = " + "[" * 100_000)
+    with pytest.raises(InputError, match=r"deep\.toml"):
+        load_scenario(tmp_path / "deep.toml")
+
+
+@pytest.mark.parametrize("bad", [{"seed": -1}, {"seed": 1.5}, {"seed": True}, {"trial": -2}])
+def test_seeds_and_trials_are_whole_numbers(tmp_path, bad):
+    with pytest.raises(InputError, match=next(iter(bad))):
+        load_scenario(write(tmp_path, SMALL)).record(**{"seed": 0, **bad})
+
+
+def test_a_scenario_is_a_picklable_source(tmp_path):
+    scenario = load_scenario(write(tmp_path, SMALL)).at(3.0)
+    again = pickle.loads(pickle.dumps(scenario))
+    assert again.name == scenario.name == "small@3"
+    assert again.record(4).digest() == scenario.record(4).digest()
+
+
+def test_levels_set_the_swept_key_and_the_first_one_changes_nothing(tmp_path):
+    scenario = load_scenario(write(tmp_path, SMALL))
+    assert scenario.levels == (1.5, 3.0)
+    base = scenario.base().record(4)
+    assert scenario.record(4, level=1.5).digest() == base.digest()
+    fast = scenario.record(4, level=3.0)
+    assert fast.digest() == scenario.at(3.0).record(4).digest()
+    assert fast.truth[0].velocity[0, 1] == pytest.approx(3.0)
+    assert np.array_equal(fast.truth[-1].position[1], base.truth[-1].position[1])
+    with pytest.raises(InputError, match=r"1\.5, 3\.0, got 2"):
+        scenario.record(4, level=2)
+
+
+def test_scripted_paths_by_hand():
+    def last(**path):
+        document = {
+            "name": "test",
+            "stresses": "a test of its own",
+            "duration": 4.1,
+            "scene": {"kind": "scripted", "tracks": {"it": path}},
+        }
+        truth = Scenario(document).scene(0).truth
+        return truth[-1]
+
+    truth = last(start=[1.0, 2.0], speed=3.0)
+    assert truth.position[0] == pytest.approx([13.0, 2.0, 0.8])
+    # Braking from 4 to 0 m/s over 2 s covers 4 m, then it stands.
+    truth = last(speed=4.0, moves=[{"seconds": 2.0, "speed": 0.0}])
+    assert truth.position[0, :2] == pytest.approx([4.0, 0.0])
+    assert truth.velocity[0] == pytest.approx([0.0, 0.0])
+    # A quarter turn to the left at 2 m/s over 4 s: radius 16 / pi m ends at (r, r).
+    truth = last(speed=2.0, moves=[{"seconds": 4.0, "turn_deg": 90.0}])
+    assert truth.position[0, :2] == pytest.approx([16 / np.pi] * 2, abs=1e-4)
+    assert truth.yaw[0] == pytest.approx(np.pi / 2)
+    truth = last(poses=[[0.0, 0.0, 0.0, 170.0], [8.0, 8.0, 4.0, -170.0]])
+    assert truth.position[0, :2] == pytest.approx([4.0, 2.0])
+    assert abs(truth.yaw[0]) == pytest.approx(np.pi)
+
+
+def test_more_births_only_add_objects():
+    def born(rate, **changes):
+        document = {
+            "name": "test",
+            "stresses": "a test of its own",
+            "scene": {"kind": "scripted", "births": {"any": {"rate": rate, **changes}}},
+        }
+        scene = Scenario(document).scene(1)
+        return {
+            (object_id, frame): truth.position[row].tobytes()
+            for frame, truth in enumerate(scene.truth)
+            for row, object_id in enumerate(truth.id.tolist())
+        }
+
+    few, many = born(0.5), born(2.0)
+    assert few.items() <= many.items()
+    assert len(many) > 2 * len(few) > 0
+    assert born(0.0) == {}
+    # The share of births in mid-range moves only the objects that it concerns.
+    some = born(2.0, popup=0.3)
+    same = {key for key in many if some.get(key) == many[key]}
+    assert 0.4 * len(many) < len(same) < len(many)
+
+
+def test_the_birth_rate_is_the_rate():
+    document = {
+        "name": "test",
+        "stresses": "a test of its own",
+        "duration": 100.0,
+        "rate": 1,
+        "scene": {"kind": "scripted", "births": {"any": {"rate": 2.0}}},
+    }
+    counts = [len(Scenario(document).scene(seed).object_name) for seed in range(5)]
+    assert abs(np.mean(counts) - 200) < 4 * np.sqrt(200 / 5) + 4  # births of the last second
+
+
+def test_the_catalogue_is_found_beside_the_package_and_in_the_repository(monkeypatch, tmp_path):
+    import importlib.resources
+
+    assert "truck_occlusion" in scenario_names()
+    repository = catalogue_folder()
+    installed = tmp_path / "sim"
+    (installed / "scenarios").mkdir(parents=True)
+    (installed / "scenarios" / "only.toml").write_text(SMALL)
+    with monkeypatch.context() as patched:
+        patched.setattr(importlib.resources, "files", lambda _: installed)
+        assert scenario_names() == ("only",)
+        assert catalogue_folder() == installed / "scenarios"
+    monkeypatch.setattr(importlib.resources, "files", lambda _: tmp_path / "nothing")
+    assert catalogue_folder() == repository
+
+
+def test_the_package_has_its_names_lazily():
+    assert set(sim.__all__) <= set(dir(sim))
+    for name in sim.__all__:
+        assert getattr(sim, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = sim.nothing
+
+
+def test_the_json_schema_knows_every_key_of_the_catalogue():
+    described = schema.json_schema()
+    text = json.dumps(described)
+    for key in ("scene", "sweep", "levels", "popup", "from_deg", "entries", "turn_deg"):
+        assert f'"{key}"' in text
+    assert described["additionalProperties"] is False
+    assert set(described["required"]) == {"name", "stresses", "scene"}
+
+
+def test_every_file_of_the_catalogue_says_what_it_stresses():
+    for name in scenario_names():
+        path = catalogue_folder() / f"{name}.toml"
+        assert path.read_text().startswith("# ")
+        assert read_toml(path)["name"] == name
