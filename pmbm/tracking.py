@@ -5,13 +5,13 @@ from __future__ import annotations
 import importlib
 import inspect
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from pmbm.errors import InputError, nearest_hint
-from pmbm.types import Detections, Recording, Site, Tracks, TrackSequence
+from pmbm.types import Detections, Label, Recording, Site, Tracks, TrackSequence
 
 
 @runtime_checkable
@@ -65,6 +65,51 @@ def make_tracker(factory: TrackerFactory, site: Site) -> Tracker:
     except (TypeError, ValueError):
         takes_site = False
     return factory(site=site) if takes_site else factory()
+
+
+class ByLabel:
+    """A tracker of its own for every label, run side by side; reports are joined under new ids.
+
+    factories : label -> factory of its tracker; detections of other labels are not looked at.
+    site : handed to the factories that take one.
+
+    For detectors whose classes do not compete, and for parameters that differ between classes.
+    """
+
+    def __init__(self, factories: Mapping[Label, TrackerFactory], site: Site | None = None) -> None:
+        site = site or Site()
+        self.trackers = {
+            Label(label): make_tracker(factory, site) for label, factory in factories.items()
+        }
+        self._ids: dict[tuple[Label, int], int] = {}
+
+    def step(self, detections: Detections, /) -> Tracks:
+        """Every tracker sees its own label's detections; all that they report, joined.
+
+        Raises InputError where time runs backwards.
+        """
+        reports = []
+        for label, tracker in self.trackers.items():
+            tracks = tracker.step(detections.take(detections.label == label))
+            reports.append((label, tracks))
+        names = [(label, i) for label, tracks in reports for i in tracks.id.tolist()]
+        ids = [self._ids.setdefault(name, len(self._ids)) for name in names]
+        return joined_tracks(detections.time, [tracks for _, tracks in reports], ids)
+
+
+def joined_tracks(time: float, parts: Sequence[Tracks], ids: Sequence[int]) -> Tracks:
+    """The tracks of several reports as one, under these ids; covariances are kept where all give
+    them."""
+    full = [tracks for tracks in parts if len(tracks)]
+    if not full:
+        return Tracks.empty(time)
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(tracks, name) for tracks in full])
+        for name in ("position", "size", "yaw", "velocity", "score", "label")
+    }
+    if all(tracks.covariance is not None for tracks in full):
+        columns["covariance"] = np.concatenate([tracks.covariance for tracks in full])
+    return Tracks(time=time, id=np.array(ids, dtype=np.int64), **columns)
 
 
 def run(tracker: Tracker, recording: Recording, *, record: bool = False) -> TrackSequence:

@@ -14,6 +14,7 @@ import click
 _COMMANDS = {
     "scenarios": "What ships, one line each; or one scenario in full.",
     "run": "One or a few trials of a scenario: a table and an HTML replay.",
+    "track": "A tracker over a real dataset, output in that dataset's format.",
 }
 """Name -> one-line help; `pmbm/cli/NAME.py` (dashes as underscores) holds `command`."""
 

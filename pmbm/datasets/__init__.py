@@ -2,6 +2,73 @@
 
 from __future__ import annotations
 
-from pmbm.datasets.origins import with_origins
+import dataclasses
+import importlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, Protocol
 
-__all__ = ["with_origins"]
+from pmbm.datasets.origins import with_origins
+from pmbm.errors import InputError, nearest_hint
+from pmbm.types import Recording, TrackSequence
+
+__all__ = ["DATASETS", "Dataset", "load", "open_dataset", "with_origins"]
+
+DATASETS: Final = {
+    "kitti": "pmbm.datasets.kitti:Kitti",
+}
+"""Name -> module:class, imported when it is opened."""
+
+
+class Dataset(Protocol):
+    """What every adapter offers; it reads when it is asked, a sequence at a time."""
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """The classes asked for, by the dataset's names."""
+
+    @property
+    def labels(self) -> tuple[int, ...]:
+        """The labels of the classes asked for, in their order."""
+
+    def sequences(self) -> list[str]:
+        """The names of all sequences there are."""
+
+    def recording(self, sequence: str, *, truth: bool = True) -> Recording:
+        """One sequence in the world; without `truth` no label is read."""
+
+    def write(self, sequence: str, tracks: TrackSequence, out: Path) -> Path:
+        """One sequence's tracks in the dataset's own format; the path of what was written."""
+
+    def read(self, sequence: str, folder: Path) -> TrackSequence:
+        """What `write` wrote, in the world."""
+
+
+def open_dataset(name: str, **options: Any) -> Dataset:
+    """The adapter of a dataset with its options; those that are None are left at their defaults.
+
+    Raises InputError for an unknown dataset or option, or for a missing one, with the nearest valid
+    name.
+    """
+    if name not in DATASETS:
+        raise InputError(f"no dataset '{name}'", hint=nearest_hint(name, DATASETS, "dataset"))
+    module, _, attribute = DATASETS[name].partition(":")
+    adapter = getattr(importlib.import_module(module), attribute)
+    known = {field.name: field for field in dataclasses.fields(adapter)}
+    given = {key: value for key, value in options.items() if value is not None}
+    for key in given:
+        if key not in known:
+            raise InputError(
+                f"{name} takes no such option", field=key, hint=nearest_hint(key, known, "option")
+            )
+    for key, field in known.items():
+        if key not in given and field.default is dataclasses.MISSING:
+            raise InputError(f"{name} needs an option", field=key)
+    dataset: Dataset = adapter(**given)
+    return dataset
+
+
+def load(dataset: Dataset, sequences: Sequence[str] | None = None) -> Iterator[Recording]:
+    """The recordings of these sequences (default: all), each read when it is reached."""
+    for sequence in dataset.sequences() if sequences is None else sequences:
+        yield dataset.recording(sequence)

@@ -105,6 +105,13 @@ class Kitti:
                     field="classes",
                     hint=nearest_hint(name, CLASSES, "class"),
                 )
+        if len(set(self.classes)) < len(self.classes):
+            raise InputError("KITTI: a class is named twice", field="classes", got=self.classes)
+
+    @property
+    def labels(self) -> tuple[int, ...]:
+        """The labels of the classes asked for, in their order."""
+        return tuple(_LABELS[name] for name in self.classes)
 
     def sequences(self) -> list[str]:
         """The names of all sequences: those with a calibration."""

@@ -1,0 +1,186 @@
+"""`pmbm track`: a tracker over a real dataset, output in that dataset's format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmbm.cli.many import ManyValues
+
+if TYPE_CHECKING:
+    from pmbm.datasets import Dataset
+    from pmbm.study.configured import ConfiguredTracker
+    from pmbm.types import Label
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+@click.command(cls=ManyValues)
+@click.argument("dataset_name", metavar="DATASET")
+@click.option("--root", type=FOLDER, required=True, help="The dataset's folder.")
+@click.option(
+    "--detections",
+    required=True,
+    metavar="PATH",
+    help="Detections; {class} stands for the class's name where each class has its own.",
+)
+@click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
+@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
+@click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")
+@click.option("--out", type=FOLDER, required=True, help="Folder for the results.")
+@click.option(
+    "--tracker",
+    "tracker_name",
+    default="pmbm",
+    show_default=True,
+    metavar="NAME|MODULE:FACTORY",
+)
+@click.option(
+    "--config",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.toml",
+    help="The tracker's parameters; a table [CLASS] holds those of one class alone.",
+)
+@click.option(
+    "--mode",
+    type=click.Choice(["online", "batch"]),
+    default="online",
+    show_default=True,
+    help="Report each frame as it comes, or look back from the end.",
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+def command(
+    dataset_name: str,
+    root: Path,
+    detections: str,
+    poses: Path | None,
+    classes: tuple[str, ...],
+    sequences: tuple[str, ...],
+    out: Path,
+    tracker_name: str,
+    config: Path | None,
+    mode: str,
+    jobs: int,
+) -> None:
+    """Run a tracker over DATASET and write what it says in the dataset's own format, one sequence
+    at a time.  Each class has a tracker of its own; no label is read.
+
+    \b
+    Example:
+      pmbm track kitti --root kitti --detections 'kitti/detections/pointrcnn_{class}' \\
+        --poses kitti/pose --classes Car Pedestrian Cyclist --sequences 0001 0002 --out results
+    """
+    from pmbm.datasets import open_dataset
+    from pmbm.datasets.files import prepare_folder
+    from pmbm.errors import InputError
+
+    if mode == "batch":
+        raise InputError("this tracker cannot look back", field="--mode", got=mode)
+    dataset = open_dataset(
+        dataset_name, root=root, detections=detections, poses=poses, classes=classes or None
+    )
+    trackers = class_trackers(dataset, tracker_name, config)
+    names = list(dict.fromkeys(sequences)) or dataset.sequences()
+    prepare_folder(out)
+    tasks = [(dataset, name, trackers, out) for name in names]
+    for path in spread(track_sequence, tasks, jobs, "sequences"):
+        click.echo(path)
+
+
+def track_sequence(
+    dataset: Dataset, name: str, trackers: Mapping[Label, ConfiguredTracker], out: Path
+) -> Path:
+    """Track one sequence, write it, and say where."""
+    from pmbm.tracking import ByLabel, run
+
+    recording = dataset.recording(name, truth=False)
+    return dataset.write(name, run(ByLabel(trackers, recording.site), recording), out)
+
+
+def class_trackers(
+    dataset: Dataset, tracker: str, config: Path | None
+) -> dict[Label, ConfiguredTracker]:
+    """The tracker of each class with its parameters: those of the file's top level, and over them
+    those of the class's own table."""
+    from pmbm.study.configured import ConfiguredTracker
+    from pmbm.types import Label
+
+    values = {} if config is None else read_toml(config)
+    own = {name: values.pop(name, {}) for name in dataset.classes}
+    trackers = {}
+    for name, label in zip(dataset.classes, dataset.labels, strict=True):
+        parameters = {**values, **_table(own[name], name, config)}
+        configured = ConfiguredTracker(tracker, tuple(parameters.items()))
+        with _blaming(config):
+            configured.bound()
+        trackers[Label(label)] = configured
+    return trackers
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The file's tables; InputError where it is not TOML."""
+    import tomllib
+
+    from pmbm.datasets.files import read_text
+    from pmbm.errors import InputError
+
+    try:
+        return tomllib.loads(read_text(path))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"not valid TOML: {error}", file=path) from None
+
+
+def spread(
+    function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int, what: str
+) -> Iterator[Any]:
+    """`function` of each task, in order, over `jobs` processes, with a bar on stderr."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.completed}/{task.total} {task.description}"))
+    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
+        bar = progress.add_task(what, total=len(tasks))
+        for result in _results(function, tasks, jobs):
+            progress.advance(bar)
+            yield result
+
+
+def _results(
+    function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int
+) -> Iterator[Any]:
+    if min(jobs, len(tasks)) <= 1:
+        yield from (function(*task) for task in tasks)
+        return
+    from pmbm.study.parallel import process_pool
+
+    pool = process_pool(min(jobs, len(tasks)))
+    try:
+        yield from (future.result() for future in [pool.submit(function, *t) for t in tasks])
+    except BaseException:
+        pool.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
+        raise
+    pool.shutdown(wait=True)
+
+
+def _table(value: Any, name: str, config: Path | None) -> dict[str, Any]:
+    from pmbm.errors import InputError
+
+    if not isinstance(value, dict):
+        raise InputError(
+            "not a table", file=config, field=name, expected=f"[{name}]", got=type(value).__name__
+        )
+    return value
+
+
+@contextmanager
+def _blaming(config: Path | None) -> Iterator[None]:
+    from pmbm.errors import InputError
+
+    try:
+        yield
+    except InputError as error:
+        raise error.located(file=config) if config else error from None

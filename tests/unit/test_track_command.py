@@ -1,0 +1,127 @@
+"""`pmbm track`, from the command line to the file."""
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from pmbm.cli import main
+
+SAMPLE = Path(__file__).parents[1] / "data" / "kitti"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The sample over eight frames, an own folder of detections for each class."""
+    root = tmp_path / "kitti"
+    shutil.copytree(SAMPLE / "training", root)
+    row = (SAMPLE / "detections_ab3dmot" / "0000.txt").read_text().splitlines()[0].split(",")
+    for kind, code in (("Car", "2"), ("Cyclist", "3")):
+        (root / f"dets_{kind}").mkdir()
+        for name in ("0000", "0001"):
+            lines = [",".join([str(k), code, *row[2:]]) for k in range(8)]
+            (root / f"dets_{kind}" / f"{name}.txt").write_text("\n".join(lines))
+    (root / "pose").mkdir()
+    for name in ("0000", "0001"):
+        (root / "pose" / f"{name}.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 8)
+    shutil.copy(root / "calib" / "0000.txt", root / "calib" / "0001.txt")
+    return root
+
+
+def pmbm(*arguments):
+    """The exit code."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    return stop.value.code
+
+
+def track(root, *options, out="out", code=0):
+    arguments = [
+        *("track", "kitti", "--root", root, "--detections", root / "dets_{class}"),
+        *("--poses", root / "pose", "--out", root / out, "--classes", "Car", "Cyclist"),
+    ]
+    assert pmbm(*arguments, *options) == code
+    if code:
+        return None
+    return {path.name: path.read_text() for path in sorted((root / out).iterdir())}
+
+
+def fails(root, capsys, *options):
+    track(root, *options, code=2)
+    message = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message.startswith("pmbm: ")
+    return message
+
+
+def test_writes_a_file_a_sequence(folder, capsys):
+    files = track(folder, "--tracker", "argoverse", "--sequences", "0000", "0001")
+    assert sorted(files) == ["0000.txt", "0001.txt"]
+    assert capsys.readouterr().out.split() == [str(folder / "out" / name) for name in files]
+    rows = [line.split() for line in files["0000.txt"].splitlines()]
+    assert [int(row[0]) for row in rows] == [4, 4, 5, 5, 6, 6, 7, 7]
+    assert {(row[1], row[2]) for row in rows} == {("0", "Car"), ("1", "Cyclist")}
+    assert all(len(row) == 18 for row in rows)
+
+
+def test_no_label_is_needed(folder):
+    shutil.rmtree(folder / "label_02")
+    assert track(folder, "--tracker", "argoverse")["0000.txt"]
+
+
+def test_any_number_of_jobs_writes_the_same(folder):
+    alone = track(folder, out="one")
+    assert track(folder, "--jobs", "2", out="two") == alone
+    assert alone["0000.txt"]
+
+
+def test_a_class_has_its_own_parameters(folder):
+    config = folder / "config.toml"
+    config.write_text("min_hits = 2\n[Cyclist]\nmin_hits = 6\n")
+    files = track(folder, "--tracker", "argoverse", "--config", config, "--sequences", "0000")
+    rows = [line.split() for line in files["0000.txt"].splitlines()]
+    first = {
+        kind: min(int(row[0]) for row in rows if row[2] == kind) for kind in ("Car", "Cyclist")
+    }
+    assert first == {"Car": 1, "Cyclist": 5}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("min_hitz = 2", "no parameter 'min_hitz'.*config.toml.*did you mean 'min_hits'"),
+        ("[Car]\nmin_score = 1.3", "min_score.*at most 1, got 1.3"),
+        ("Car = 3", "not a table.*config.toml, field Car"),
+        ("= 3", "not valid TOML.*config.toml"),
+    ],
+)
+def test_bad_parameters(folder, capsys, text, message):
+    config = folder / "config.toml"
+    config.write_text(text)
+    found = fails(folder, capsys, "--tracker", "argoverse", "--config", str(config))
+    assert re.search(message, found), found
+
+
+def test_bad_arguments(folder, capsys):
+    assert "did you mean 'argoverse'" in fails(folder, capsys, "--tracker", "argovers")
+    assert "no such file" in fails(folder, capsys, "--sequences", "0002")
+    assert "expected NNNN" in fails(folder, capsys, "--sequences", "../0000")
+    assert "did you mean 'Cyclist'" in fails(folder, capsys, "--classes", "Cyclits")
+    assert "no such option" in fails(folder, capsys, "--clases", "Car").lower()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_no_permission(folder, capsys):
+    (folder / "out").mkdir(mode=0o500)
+    assert "Permission denied" in fails(folder, capsys)
+
+
+def test_unknown_dataset(capsys):
+    assert pmbm("track", "kity", "--root", ".", "--detections", ".", "--out", ".") == 2
+    assert "did you mean 'kitti'" in capsys.readouterr().err
+
+
+def test_help_has_an_example(capsys):
+    assert pmbm("track", "--help") == 0
+    assert "pmbm track kitti --root" in capsys.readouterr().out
