@@ -98,9 +98,9 @@ def associate(
     A parent of weight w has at most ceil(`max_hypotheses` w) children, its best.
     """
     local, table = density.local, density.hypotheses
-    detection = sensor.detection_probability(local.mean, local.cov)
+    detection, detection_if_seen = sensor.of_tracks(local)
     known = _gated(
-        local.mean, local.cov, _log(local.existence * detection), z, sensor, gate_threshold
+        local.mean, local.cov, _log(local.existence * detection_if_seen), z, sensor, gate_threshold
     )
     log_missed = np.log(np.maximum(1 - local.existence * detection, math.exp(LOG_TINY)))
 

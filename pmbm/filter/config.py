@@ -23,6 +23,8 @@ class PMBMConfig:
     measurement_sd : standard deviation of a measured position, per axis, m, > 0.
     detection_probability : P_D of an object in view, in [0, 1] (Sec. 2.6).
     clutter_rate : expected false detections per frame over the field of view, >= 0.
+    occlusion : whether the other tracks, as likely as they exist, and the site's occluders hide an
+        object, so that its P_D is that in the open times its expected visible share (Sec. 2.2).
 
     Undetected objects (Sec. 2.2)
     birth_rate : expected new objects per second over the field of view, >= 0.
@@ -55,6 +57,7 @@ class PMBMConfig:
     measurement_sd: float = 0.3
     detection_probability: float = 0.9
     clutter_rate: float = 2.0
+    occlusion: bool = True
     birth_rate: float = 0.5
     initial_objects: float = 3.0
     birth_components: int = 7

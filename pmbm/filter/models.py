@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtr
 
-from pmbm.filter.density import Mixture
+from pmbm.filter.density import Locals, Mixture
 from pmbm.types import FloatArray, Site
 
+if TYPE_CHECKING:
+    from pmbm.filter.occlusion import Shadows
+
+LEAST_VISIBLE_TO_BE_SEEN = 0.05
+"""Floor of the visible share where an object was detected: what seems to hide it may be a ghost."""
 _GOLDEN_ANGLE_SHARE = (math.sqrt(5) - 1) / 2
 
 
@@ -104,18 +110,29 @@ class Sensor:
     detection : P_D of an object in view.
     clutter : false detections per m^2 and frame.
     view : None where everything is in view.
+    shadows : None where nothing hides anything.
     """
 
     R: FloatArray
     detection: float
     clutter: float
     view: View | None = None
+    shadows: Shadows | None = None
 
     def detection_probability(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
         """(N,) P_D averaged over Gaussians (N,4), (N,4,4)."""
         if self.view is None:
             return np.full(len(mean), self.detection)
         return self.detection * self.view.share_inside(mean, cov)
+
+    def of_tracks(self, local: Locals) -> tuple[FloatArray, FloatArray]:
+        """P_D (H,) of local hypotheses, as misses and as detections count it: in the open, times
+        the expected visible share, floored in the latter."""
+        in_the_open = self.detection_probability(local.mean, local.cov)
+        if self.shadows is None:
+            return in_the_open, in_the_open
+        visible = self.shadows.visible_share(local)
+        return in_the_open * visible, in_the_open * np.maximum(visible, LEAST_VISIBLE_TO_BE_SEEN)
 
 
 def spread_over(view: View, components: int, speed_sd: float) -> Mixture:

@@ -20,6 +20,7 @@ from pmbm.filter.models import (
     spread_over,
     survival_over,
 )
+from pmbm.filter.occlusion import Shadows
 from pmbm.filter.prediction import predict
 from pmbm.filter.reduction import Limits, Reduced, reduce
 from pmbm.filter.update import Scan, update
@@ -55,7 +56,6 @@ class PMBMTracker:
         """
         config = self.config
         view = View.of(self.site, detections.sensor_pose)
-        sensor = self._sensor(view)
         scan = _scan(detections)
         if self.density is None:
             predicted = Density.initial(
@@ -66,6 +66,7 @@ class PMBMTracker:
         else:
             dt = self._elapsed(detections.time)
             predicted = predict(self.density, self._transition(dt), self._births(view, dt))
+        sensor = self._sensor(view, predicted)
         association = associate(
             predicted,
             scan.position,
@@ -102,13 +103,15 @@ class PMBMTracker:
         shape = spread_over(view, self.config.birth_components, self.config.birth_speed_sd)
         return Mixture(shape.log_weight + math.log(expected), shape.mean, shape.cov)
 
-    def _sensor(self, view: View) -> Sensor:
+    def _sensor(self, view: View, predicted: Density) -> Sensor:
         config = self.config
+        hides = config.occlusion and len(predicted.local) > 0
         return Sensor(
             R=config.measurement_sd**2 * np.eye(2),
             detection=config.detection_probability,
             clutter=config.clutter_rate / view.area,
             view=view,
+            shadows=Shadows.of(predicted, view.pose[:2], self.site.occluders) if hides else None,
         )
 
     def _limits(self) -> Limits:

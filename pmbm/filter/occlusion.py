@@ -1,0 +1,218 @@
+"""What other objects and walls hide: the expected visible share of a track, seen from the sensor.
+
+The sensor's surroundings are cut into narrow bearings.  Every track believed to exist, and every
+static occluder, covers the bearings between its outermost corners, at the distance where the ray
+meets it.  A bearing of an object is open with the probability that none of the nearer boxes exists,
+the product of their 1 - r, and the object's visible share is the mean over its bearings.
+
+This is what lets a track behind a truck keep its existence: nothing was seen there because nothing
+could be seen there (Pang & Radha 2021, Sec. 2.2, the motivating example).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmbm.filter.density import Density, Index, Locals, ragged
+from pmbm.filter.estimation import marginals
+from pmbm.types import FloatArray
+
+_BEARINGS = 1440
+_STEP = 2 * np.pi / _BEARINGS
+_FAR = 1e5
+"""m; no ray reaches further."""
+_IGNORED_EXISTENCE = 0.05
+"""Tracks that exist less probably hide nothing: most are clutter, seen once."""
+_CERTAIN = 1 - 1e-9
+_HALVES = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Rays:
+    """The bearings that B convex outlines cover: n rays, grouped by outline.
+
+    first (B+1,) : rays of outline b are first[b] .. first[b + 1] - 1, at consecutive bearings.
+    bearing (n,) : index of the bearing.  distance (n,) : where the ray first meets the outline, m.
+    """
+
+    first: Index
+    bearing: Index
+    distance: FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Shadows:
+    """Everything around the sensor that may hide something.
+
+    origin (2,) : of the sensor.
+    rays : of the outlines, the tracks' first.  track_row : track -> its outline, or -1.
+    log_open (B,) : log of the probability that the outline is not there.
+    key (n,), log_open_before (n+1,) : rays sorted by bearing, then distance, and the running sum of
+        their `log_open`.
+    """
+
+    origin: FloatArray
+    rays: Rays
+    track_row: Index
+    log_open: FloatArray
+    key: FloatArray
+    log_open_before: FloatArray
+
+    @staticmethod
+    def of(density: Density, origin: FloatArray, occluders: Sequence[FloatArray] = ()) -> Shadows:
+        """The shadows of a density's tracks, as likely as these exist, and of static occluders."""
+        marginal = marginals(density)
+        solid = np.flatnonzero(marginal.existence > _IGNORED_EXISTENCE)
+        row = marginal.best[solid]
+        local = density.local
+        tracks = box_rays(origin, local.mean[row, :2], local.box[row])
+        walls = outline_rays(origin, occluders)
+        rays = Rays(
+            np.concatenate([tracks.first, tracks.first[-1] + walls.first[1:]]),
+            np.concatenate([tracks.bearing, walls.bearing]),
+            np.concatenate([tracks.distance, walls.distance]),
+        )
+        log_open = np.concatenate(
+            [
+                np.log1p(-np.minimum(marginal.existence[solid], _CERTAIN)),
+                np.full(len(occluders), np.log1p(-_CERTAIN)),
+            ]
+        )
+        key = _key(rays.bearing, rays.distance)
+        order = np.argsort(key, kind="stable")
+        of_ray = np.repeat(log_open, np.diff(rays.first))[order]
+        track_row = np.full(len(density.track_id), -1, np.intp)
+        track_row[solid] = np.arange(len(solid))
+        return Shadows(
+            origin, rays, track_row, log_open, key[order], np.concatenate([[0.0], of_ray.cumsum()])
+        )
+
+    def visible_share(self, local: Locals) -> FloatArray:
+        """(H,) expected share of each local hypothesis's bearings that nothing nearer covers.
+
+        The bearings are widened by one standard deviation of the position across the line of
+        sight, so that an object that may or may not stand in a shadow is hidden in part.  A track
+        never hides itself.
+        """
+        target = box_rays(
+            self.origin, local.mean[:, :2], local.box, widen=_across(self.origin, local)
+        )
+        if not len(self.key) or not len(target.bearing):
+            return np.ones(len(local))
+        nearer = np.searchsorted(self.key, _key(target.bearing, target.distance), side="left")
+        start = np.searchsorted(self.key, target.bearing.astype(np.float64), side="left")
+        log_open = self.log_open_before[nearer] - self.log_open_before[start]
+        log_open -= self._by_itself(local, target)
+        count = np.diff(target.first)
+        open_rays = np.bincount(
+            np.repeat(np.arange(len(local)), count),
+            np.exp(np.minimum(log_open, 0.0)),
+            minlength=len(local),
+        )
+        return np.where(count > 0, open_rays / np.maximum(count, 1), 1.0)
+
+    def _by_itself(self, local: Locals, target: Rays) -> FloatArray:
+        """(n,) what a target's own track would take from each of its rays: to be given back."""
+        own = np.repeat(self.track_row[local.track], np.diff(target.first))
+        first = np.minimum(self.rays.first[own], len(self.key) - 1)
+        offset = np.mod(target.bearing - self.rays.bearing[first], _BEARINGS)
+        covers = (own >= 0) & (offset < self.rays.first[own + 1] - self.rays.first[own])
+        at = np.where(covers, first + offset, 0)
+        nearer = covers & (
+            _key(target.bearing, self.rays.distance[at]) < _key(target.bearing, target.distance)
+        )
+        return np.where(nearer, self.log_open[own], 0.0)
+
+
+def box_rays(
+    origin: FloatArray, centre: FloatArray, box: FloatArray, widen: FloatArray | None = None
+) -> Rays:
+    """Rays of upright boxes: centre (B,2), box (B,5) as z, length, width, height, yaw.
+
+    widen (B,) : metres added on either side, across the line of sight; where the ray then misses
+        the box it meets it at the distance of the centre.  A box around the sensor has no rays.
+    """
+    offset = centre - origin
+    cos, sin = np.cos(box[:, 4]), np.sin(box[:, 4])
+    half_length, half_width = 0.5 * box[:, 1], 0.5 * box[:, 2]
+    # The sensor in each box's own frame.
+    x = -(offset[:, 0] * cos + offset[:, 1] * sin)
+    y = offset[:, 0] * sin - offset[:, 1] * cos
+    range_ = np.hypot(offset[:, 0], offset[:, 1])
+    middle = np.arctan2(offset[:, 1], offset[:, 0])
+    local = _HALVES * box[:, None, 1:3]
+    corner_x = offset[:, None, 0] + local[..., 0] * cos[:, None] - local[..., 1] * sin[:, None]
+    corner_y = offset[:, None, 1] + local[..., 0] * sin[:, None] + local[..., 1] * cos[:, None]
+    turn = np.arctan2(corner_y, corner_x) - middle[:, None]
+    turn = np.mod(turn + np.pi, 2 * np.pi) - np.pi
+    low, high = turn.min(axis=1), turn.max(axis=1)
+    if widen is not None:
+        margin = np.arctan2(widen, np.maximum(range_, 1e-9))
+        low, high = np.maximum(low - margin, -3.0), np.minimum(high + margin, 3.0)
+    inside = (np.abs(x) <= half_length) & (np.abs(y) <= half_width)
+
+    # Bearings whose centre lies within the extent; at least the one that the middle lies in.
+    begin = np.ceil((middle + low) / _STEP - 0.5).astype(np.intp)
+    end = np.floor((middle + high) / _STEP - 0.5).astype(np.intp)
+    thin = end < begin
+    begin = np.where(thin, np.floor(middle / _STEP).astype(np.intp), begin)
+    count = np.where(inside, 0, np.where(thin, 1, end - begin + 1))
+    bearing = ragged(begin, count)
+    row = np.repeat(np.arange(len(box)), count)
+    angle = (bearing + 0.5) * _STEP - box[row, 4]
+    along_x, along_y = np.cos(angle), np.sin(angle)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        enter_x = (-np.sign(along_x) * half_length[row] - x[row]) / along_x
+        leave_x = (np.sign(along_x) * half_length[row] - x[row]) / along_x
+        enter_y = (-np.sign(along_y) * half_width[row] - y[row]) / along_y
+        leave_y = (np.sign(along_y) * half_width[row] - y[row]) / along_y
+    enter, leave = np.fmax(enter_x, enter_y), np.fmin(leave_x, leave_y)
+    meets = (enter <= leave) & (enter > 0)
+    distance = np.where(meets, enter, range_[row])
+    first = np.concatenate([[0], np.cumsum(count)])
+    return Rays(first, np.mod(bearing, _BEARINGS), distance)
+
+
+def outline_rays(origin: FloatArray, outlines: Sequence[FloatArray]) -> Rays:
+    """Rays of convex polygons (V,2); one around the sensor has none."""
+    count, bearings, distances = [0], [np.zeros(0, np.intp)], [np.zeros(0)]
+    for outline in outlines:
+        corner = outline - origin
+        middle = np.arctan2(*corner.mean(axis=0)[::-1])
+        turn = np.mod(np.arctan2(corner[:, 1], corner[:, 0]) - middle + np.pi, 2 * np.pi) - np.pi
+        begin = int(np.ceil((middle + turn.min()) / _STEP - 0.5))
+        end = int(np.floor((middle + turn.max()) / _STEP - 0.5))
+        bearing = np.arange(begin, end + 1)
+        angle = (bearing[:, None] + 0.5) * _STEP
+        ray = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        edge = np.roll(corner, -1, axis=0) - corner
+        # origin + t ray = corner + s edge, by Cramer's rule.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            area = ray[..., 0] * edge[:, 1] - ray[..., 1] * edge[:, 0]
+            t = (corner[:, 0] * edge[:, 1] - corner[:, 1] * edge[:, 0]) / area
+            s = (corner[:, 0] * ray[..., 1] - corner[:, 1] * ray[..., 0]) / area
+            t = np.where((s >= 0) & (s <= 1) & (t > 0), t, _FAR)
+        surrounds = turn.max() - turn.min() > np.pi
+        nearest = t.min(axis=1)
+        keep = (nearest < _FAR) & (not surrounds)
+        count.append(int(keep.sum()))
+        bearings.append(np.mod(bearing[keep], _BEARINGS))
+        distances.append(nearest[keep])
+    return Rays(np.cumsum(count), np.concatenate(bearings), np.concatenate(distances))
+
+
+def _across(origin: FloatArray, local: Locals) -> FloatArray:
+    """(H,) standard deviation of the position across the line of sight, m."""
+    offset = local.mean[:, :2] - origin
+    range_ = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-9)
+    normal = np.stack([-offset[:, 1], offset[:, 0]], axis=1) / range_[:, None]
+    cov = local.cov[:, :2, :2]
+    return np.sqrt(np.maximum(np.einsum("hi,hij,hj->h", normal, cov, normal), 0.0))
+
+
+def _key(bearing: Index, distance: FloatArray) -> FloatArray:
+    """Sorts by bearing, then by distance."""
+    return bearing + np.minimum(distance, 0.999 * _FAR) / _FAR
