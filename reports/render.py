@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from reports.encode import encode_replay
 from reports.page import render_page, script_json
-from reports.tables import Row, Table, metric_row, metric_tables
+from reports.tables import Row, Table, metric_rows, metric_tables
 from reports.values import Replay, Section
 
 LAYERS = (
@@ -101,7 +101,7 @@ def _overview(sections: Sequence[Section]) -> _Overview | None:
         trackers=first.trackers,
         compared=tuple(first.differences),
         reference=first.reference,
-        rows=tuple(metric_row(section.summary, "gospa", section.name) for section in sections),
+        rows=metric_rows([(section.name, section.summary) for section in sections], "gospa"),
     )
 
 

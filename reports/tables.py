@@ -135,8 +135,25 @@ def _table(summary: Summary, metrics: Iterable[str]) -> Table:
     )
 
 
-def metric_row(summary: Summary, key: str, name: str | None = None) -> Row:
-    """One metric's line; `name` stands in its first column instead of the metric's own."""
+def metric_rows(summaries: Sequence[tuple[str, Summary]], key: str) -> tuple[Row, ...]:
+    """One metric over several (name, summary), the bars to one scale."""
+    ends = [
+        abs(end)
+        for _, summary in summaries
+        for differences in summary.differences.values()
+        if (value := differences.get(key))
+        for end in (value.mean, value.low, value.high)
+        if end is not None
+    ]
+    reach = max(ends, default=0.0)
+    return tuple(metric_row(summary, key, name, reach) for name, summary in summaries)
+
+
+def metric_row(
+    summary: Summary, key: str, name: str | None = None, reach: float | None = None
+) -> Row:
+    """One metric's line; `name` stands in its first column instead of the metric's own, and
+    `reach` is the difference at the end of the bar's picture, by default the row's largest."""
     metric = shown_metric(key)
     estimates = [summary.estimates[tracker].get(key) for tracker in summary.trackers]
     differences = [summary.differences[tracker].get(key) for tracker in summary.differences]
@@ -146,7 +163,9 @@ def metric_row(summary: Summary, key: str, name: str | None = None) -> Row:
         arrow=metric.arrow,
         answers=metric.answers,
         cells=tuple(words(estimate, summary.trials) for estimate in estimates),
-        differences=tuple(difference(value, metric, summary.trials) for value in differences),
+        differences=tuple(
+            difference(value, metric, summary.trials, reach) for value in differences
+        ),
     )
 
 
@@ -159,21 +178,25 @@ def words(estimate: Estimate | None, trials: int, *, signed: bool = False) -> Te
         text = f"{mean:.4g}"
         return Text(_signed(text, signed), "", "" if trials == 1 else f"n {estimate.n}")
     half = estimate.high - mean
-    digits = _digits(half, mean)
-    detail = f"sem {_plain(estimate.sem, digits + 1)}"
+    detail = f"sem {estimate.sem:.2g}"
     if estimate.n != trials:
         detail += f" · n {estimate.n}"
+    if half <= 1e-9 * abs(mean):
+        return Text(_signed(f"{mean:.4g}", signed), "0", detail)
+    digits = min(6, max(0, 1 - math.floor(math.log10(half))))
     return Text(_signed(f"{mean:.{digits}f}", signed), f"{half:.{digits}f}", detail)
 
 
-def difference(value: Estimate | None, metric: Metric, trials: int) -> Difference | None:
+def difference(
+    value: Estimate | None, metric: Metric, trials: int, reach: float | None = None
+) -> Difference | None:
     """A paired difference in words and as a bar about zero."""
     text = words(value, trials, signed=True)
     if value is None or text is None or value.mean is None:
         return None
     low = value.mean if value.low is None else value.low
     high = value.mean if value.high is None else value.high
-    reach = max(abs(low), abs(high), 1e-300)
+    reach = max(abs(low), abs(high), reach or 0.0, 1e-300)
     verdict = judge(value, metric.sign)
     at, left, right = (round(_MIDDLE + _REACH * v / reach, 1) for v in (value.mean, low, high))
     label = f"{metric.name}: difference {text.mean}"
@@ -187,15 +210,6 @@ def judge(value: Estimate, sign: int) -> Verdict:
     if sign == 0 or value.low is None or value.high is None or value.low <= 0 <= value.high:
         return "tie"
     return "better" if sign * value.low > 0 else "worse"
-
-
-def _digits(half: float, mean: float) -> int:
-    scale = half if half > 0 else abs(mean) / 100
-    return min(6, max(0, 1 - math.floor(math.log10(scale)))) if scale > 0 else 0
-
-
-def _plain(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}"
 
 
 def _signed(text: str, signed: bool) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ from pmbm.errors import InputError
 from pmbm.types import FloatArray, Recording, TrackSequence
 
 if TYPE_CHECKING:
-    from pmbm.study import Summary
+    from pmbm.study import Summary, TrialResult
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,3 +61,74 @@ class Section:
     summary: Summary
     replay: Replay | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CellResults:
+    """One configuration of a study and what its trials gave.
+
+    scenario : its name.
+    stresses : one sentence, what it is hard for, or "".
+    point : swept parameter -> value here; empty where nothing is swept.
+    results : the trials that gave one.
+    """
+
+    scenario: str
+    point: Mapping[str, Any]
+    results: Sequence[TrialResult]
+    stresses: str = ""
+
+    @property
+    def label(self) -> str:
+        """The point in words; the scenario's name where nothing is swept."""
+        settings = ", ".join(f"{key} = {_short(value)}" for key, value in self.point.items())
+        return settings or self.scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failure:
+    """A trial that gave no result: which, what happened, and the command that replays it."""
+
+    trial: str
+    what: str
+    command: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WorstTrial:
+    """A trial to look at: why it was chosen, and how to see it again."""
+
+    why: str
+    command: str
+    replay: Replay
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StudyResults:
+    """A study as a report shows it.
+
+    name : of the study.
+    cells : its configurations, in order.
+    planned : trials that the study is to have, over all cells.
+    commands : what -> the command that does it (repeat, digest, report).
+    failures, worst : see there.
+    provenance : what is needed to make the results again.
+    reference : the tracker that the others are compared with; by default the first.
+    """
+
+    name: str
+    cells: Sequence[CellResults]
+    planned: int
+    commands: Mapping[str, str] = field(default_factory=dict)
+    failures: Sequence[Failure] = ()
+    worst: Sequence[WorstTrial] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    reference: str | None = None
+
+    @property
+    def done(self) -> int:
+        return sum(len(cell.results) for cell in self.cells)
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -30,7 +30,7 @@ def summary(**values):
 def test_numbers_end_where_their_uncertainty_ends():
     text = words(estimate([1.0, 1.2, 1.4]), 3)
     # Student t with 2 degrees of freedom: 4.3027 x 0.2 / sqrt(3) = 0.4968
-    assert (text.mean, text.half, text.detail) == ("1.20", "0.50", "sem 0.115")
+    assert (text.mean, text.half, text.detail) == ("1.20", "0.50", "sem 0.12")
     assert words(estimate([None, None]), 2) is None
     assert words(estimate([2.34567]), 1).mean == "2.346"
     assert words(estimate([1.0, 1.2, None]), 3).detail.endswith("n 2")

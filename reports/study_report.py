@@ -1,0 +1,421 @@
+"""A study as a page and as Markdown: verdicts first, then what they rest on."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtr
+
+from pmbm.study import Estimate, Summary, TrialResult, estimate, summarise
+from reports.curves import Curve, curve_figure, svg_image
+from reports.page import render_page
+from reports.render import LAYERS, ReplayView, facts, replay_view
+from reports.tables import (
+    MAIN_METRICS,
+    Row,
+    Table,
+    Verdict,
+    judge,
+    markdown_table,
+    metric_row,
+    metric_rows,
+    metric_tables,
+    shown_metric,
+    words,
+)
+from reports.values import CellResults, StudyResults
+
+CURVE_METRICS = (
+    "gospa",
+    "id_switches",
+    "misses",
+    "false_positives",
+    "mota",
+    "hota",
+)
+COMPONENTS = ("gospa_localisation", "gospa_missed", "gospa_false")
+ALPHA = 0.05
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one tracker's comparison with the reference shows in one scenario.
+
+    verdict : better or worse where any cell says so after Holm's adjustment over all cells and
+        trackers, and none says the opposite.
+    headline, detail : for people.
+    """
+
+    verdict: Verdict
+    headline: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class _CellView:
+    label: str
+    main: Table
+    rest: Table | None
+    trials: int
+
+
+@dataclass(frozen=True)
+class _Picture:
+    light: str
+    dark: str
+    alt: str
+
+
+@dataclass(frozen=True)
+class _Curves:
+    parameter: str
+    pictures: tuple[_Picture, ...]
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """One bar of the decomposed GOSPA: shares in percent of the longest bar."""
+
+    label: str
+    tracker: int
+    parts: tuple[tuple[str, float, float], ...]
+    total: str
+
+
+@dataclass(frozen=True)
+class _ScenarioView:
+    name: str
+    stresses: str
+    cells: tuple[_CellView, ...]
+    overview: tuple[Row, ...]
+    curves: tuple[_Curves, ...]
+    stacks: tuple[_Stack, ...]
+
+
+@dataclass(frozen=True)
+class _WorstView:
+    why: str
+    command: str
+    replay: ReplayView
+
+
+def study_page(study: StudyResults) -> str:
+    """The study as one HTML file that opens from disk."""
+    summaries = _summaries(study)
+    metric = leading_metric(summaries)
+    return render_page(
+        "study.html.j2",
+        title=f"Study: {study.name}",
+        lede=_lede(study, summaries),
+        commands=tuple(study.commands.items()),
+        findings=findings(study),
+        metric=shown_metric(metric),
+        trackers=summaries[0].trackers if summaries else (),
+        compared=tuple(summaries[0].differences) if summaries else (),
+        reference=summaries[0].reference if summaries else "",
+        scenarios=tuple(_scenarios(study, metric)),
+        timings=_timings(study),
+        worst=tuple(_WorstView(w.why, w.command, replay_view(w.replay)) for w in study.worst),
+        failures=study.failures,
+        facts=facts(study.provenance),
+        layers=LAYERS,
+    )
+
+
+def study_markdown(study: StudyResults) -> str:
+    """The verdicts, the leading metrics and the failures, for a pull request."""
+    summaries = _summaries(study)
+    lines = [f"### {_plain(study.name)}", "", _plain(_lede(study, summaries)), ""]
+    lines += [f"- **{_plain(f.headline)}** {_plain(f.detail)}" for f in findings(study)]
+    if summaries:
+        lines += ["", *_markdown_tables(study, summaries)]
+    if study.failures:
+        rows = [(f.trial, f.what, f.command) for f in study.failures]
+        lines += ["", markdown_table(["trial without result", "what happened", "replay"], rows)]
+    for what, command in study.commands.items():
+        lines += ["", f"{what}:", "", f"    {' '.join(command.split())}"]
+    return "\n".join(lines) + "\n"
+
+
+def findings(study: StudyResults) -> tuple[Finding, ...]:
+    """One finding per scenario and compared tracker, on the leading metric.
+
+    A cell counts where the paired t test, adjusted by Holm (Scand. J. Statist. 6, 1979) over all
+    cells and trackers of the study, is below 5 %.
+    """
+    scenarios = list(_by_scenario(study))
+    summaries = {id(cell): _summary(study, cell) for _, cells in scenarios for cell in cells}
+    metric = leading_metric([s for s in summaries.values() if s])
+    shown = shown_metric(metric)
+    paired = [
+        (name, cell, tracker, difference)
+        for name, cells in scenarios
+        for cell in cells
+        if (summary := summaries[id(cell)])
+        for tracker, values in summary.differences.items()
+        if (difference := values.get(metric)) and difference.mean is not None
+    ]
+    clear = holm([p_value(difference) for *_, difference in paired])
+    found = []
+    keys = dict.fromkeys((name, tracker) for name, _, tracker, _ in paired)
+    for name, tracker in keys:
+        mine = [
+            (cell, difference, judge(difference, shown.sign) if sure else "tie")
+            for (scenario, cell, other, difference), sure in zip(paired, clear, strict=True)
+            if (scenario, other) == (name, tracker)
+        ]
+        reference = next(s.reference for s in summaries.values() if s)
+        found.append(_finding(name, tracker, reference, shown.name, shown.unit, mine))
+    return tuple(found)
+
+
+def leading_metric(summaries: Sequence[Summary]) -> str:
+    """GOSPA where it was measured, else the first metric of the study."""
+    measured = list(dict.fromkeys(m for summary in summaries for m in summary.metrics))
+    return next((m for m in MAIN_METRICS if m in measured), measured[0] if measured else "gospa")
+
+
+def p_value(difference: Estimate) -> float:
+    """Two-sided, of the paired t test against no difference; 1 where there is no interval."""
+    if difference.mean is None or difference.sem is None:
+        return 1.0
+    if difference.sem == 0:
+        return 0.0 if difference.mean else 1.0
+    return float(2 * stdtr(difference.n - 1, -abs(difference.mean) / difference.sem))
+
+
+def holm(p_values: Sequence[float], alpha: float = ALPHA) -> list[bool]:
+    """Which of the hypotheses Holm's step-down procedure rejects."""
+    rejected = [False] * len(p_values)
+    order = sorted(range(len(p_values)), key=p_values.__getitem__)
+    for rank, index in enumerate(order):
+        if p_values[index] > alpha / (len(p_values) - rank):
+            break
+        rejected[index] = True
+    return rejected
+
+
+def _finding(
+    scenario: str,
+    tracker: str,
+    reference: str,
+    metric: str,
+    unit: str,
+    cells: Sequence[tuple[CellResults, Estimate, Verdict]],
+) -> Finding:
+    verdicts = [verdict for *_, verdict in cells]
+    better, worse = verdicts.count("better"), verdicts.count("worse")
+    overall: Verdict = "tie"
+    if better and not worse:
+        overall = "better"
+    elif worse and not better:
+        overall = "worse"
+    settings = "" if len(cells) == 1 else f" of {len(cells)} settings"
+    if better and worse:
+        what = f"{tracker} beats {reference} in {better} and loses in {worse}{settings}"
+    elif overall == "tie":
+        what = f"no clear difference between {tracker} and {reference}"
+    else:
+        what = f"{tracker} is {overall} than {reference}"
+        what += f" in {max(better, worse)}{settings}" if settings else ""
+    pairs = sorted({difference.n for _, difference, _ in cells})
+    if len(cells) == 1:
+        detail = f"{_interval(cells[0][1], unit)}, {pairs[0]} paired trials"
+    else:
+        extremes = sorted(cells, key=lambda entry: entry[1].mean or 0.0)
+        ends = [
+            f"{_interval(e, unit)} at {cell.label}" for cell, e, _ in (extremes[0], extremes[-1])
+        ]
+        detail = f"from {ends[0]} to {ends[1]}"
+    return Finding(overall, f"{scenario}: {what}", f"{metric} difference {detail}")
+
+
+def _interval(difference: Estimate, unit: str) -> str:
+    text = words(difference, difference.n, signed=True)
+    assert text is not None
+    half = f" ± {text.half}" if text.half else ""
+    return f"{text.mean}{half} {unit}".strip()
+
+
+def _by_scenario(study: StudyResults) -> Iterable[tuple[str, list[CellResults]]]:
+    order = list(dict.fromkeys(cell.scenario for cell in study.cells))
+    cells = sorted(study.cells, key=lambda cell: order.index(cell.scenario))
+    for name, group in groupby(cells, key=lambda cell: cell.scenario):
+        yield name, list(group)
+
+
+def _summary(study: StudyResults, cell: CellResults) -> Summary | None:
+    return summarise(cell.results, study.reference) if cell.results else None
+
+
+def _summaries(study: StudyResults) -> list[Summary]:
+    return [s for cell in study.cells if (s := _summary(study, cell))]
+
+
+def _lede(study: StudyResults, summaries: Sequence[Summary]) -> str:
+    trackers = list(dict.fromkeys(name for s in summaries for name in s.trackers))
+    parts = [f"{study.done} of {study.planned} trials"]
+    if len(study.cells) > 1:
+        parts.append(f"{len(study.cells)} settings")
+    parts.append(f"trackers {', '.join(trackers)}" if trackers else "no results yet")
+    if study.failures:
+        parts.append(f"{len(study.failures)} without result")
+    return "; ".join(parts) + "."
+
+
+def _scenarios(study: StudyResults, metric: str) -> Iterable[_ScenarioView]:
+    for name, cells in _by_scenario(study):
+        filled = [(cell, s) for cell in cells if (s := _summary(study, cell))]
+        if not filled:
+            continue
+        yield _ScenarioView(
+            name=name,
+            stresses=cells[0].stresses,
+            cells=tuple(
+                _CellView(cell.label, *metric_tables(summary), summary.trials)
+                for cell, summary in filled
+            ),
+            overview=metric_rows([(cell.label, summary) for cell, summary in filled], metric),
+            curves=tuple(_curves([cell for cell, _ in filled])),
+            stacks=_stacks(filled),
+        )
+
+
+def _curves(cells: Sequence[CellResults]) -> Iterable[_Curves]:
+    for parameter in cells[0].point:
+        pictures = []
+        for curve in robustness(cells, parameter):
+            light, dark = (
+                svg_image(curve_figure(curve, parameter, dark=dark)) for dark in (False, True)
+            )
+            pictures.append(_Picture(light, dark, f"{curve.metric.name} against {parameter}"))
+        if pictures:
+            yield _Curves(parameter, tuple(pictures))
+
+
+def robustness(cells: Sequence[CellResults], parameter: str) -> list[Curve]:
+    """The study's metrics against one swept parameter; none where it has fewer than two levels.
+
+    Where other parameters are swept too, a trial's value at a level is its mean over their
+    settings: trials stay independent, so the intervals hold.  A trial that lacks a setting there
+    is left out.
+    """
+    levels = list(dict.fromkeys(cell.point[parameter] for cell in cells))
+    if len(levels) < 2:
+        return []
+    trackers = list(cells[0].results[0].scores)
+    measured = cells[0].results[0].scores[trackers[0]]
+    chosen = [m for m in CURVE_METRICS if m in measured] or list(measured)[:6]
+    at_level = {
+        level: [cell.results for cell in cells if cell.point[parameter] == level]
+        for level in levels
+    }
+    return [
+        Curve(
+            metric=shown_metric(metric),
+            levels=tuple(levels),
+            lines={
+                tracker: tuple(
+                    estimate(_trial_means(at_level[level], tracker, metric)) for level in levels
+                )
+                for tracker in trackers
+            },
+            connected=len(levels) <= 12,
+        )
+        for metric in chosen
+    ]
+
+
+def _trial_means(
+    cells: Sequence[Sequence[TrialResult]], tracker: str, metric: str
+) -> list[float | None]:
+    values: dict[int, list[float | None]] = {}
+    for results in cells:
+        for result in results:
+            score = result.scores[tracker].get(metric)
+            values.setdefault(result.trial, []).append(score)
+    return [
+        None if None in row else float(np.mean(np.array(row, dtype=np.float64)))
+        for row in values.values()
+        if len(row) == len(cells)
+    ]
+
+
+def _stacks(filled: Sequence[tuple[CellResults, Summary]]) -> tuple[_Stack, ...]:
+    """Decomposed GOSPA, a bar per setting and tracker."""
+    rows = []
+    for cell, summary in filled:
+        for index, tracker in enumerate(summary.trackers):
+            estimates = summary.estimates[tracker]
+            means = [estimates[c].mean for c in COMPONENTS if c in estimates]
+            defined = [mean for mean in means if mean is not None]
+            if len(defined) == len(COMPONENTS):
+                rows.append((f"{cell.label} · {tracker}", index, defined))
+    longest = max((sum(means) for *_, means in rows), default=0.0) or 1.0
+    return tuple(_stack(label, index, means, longest) for label, index, means in rows)
+
+
+def _stack(label: str, tracker: int, means: Sequence[float], longest: float) -> _Stack:
+    names = [name.removeprefix("gospa_") for name in COMPONENTS]
+    shares = [100 * mean / longest for mean in means]
+    starts = [round(sum(shares[:k]), 2) for k in range(len(shares))]
+    parts = tuple(zip(names, starts, (round(share, 2) for share in shares), strict=True))
+    total = ", ".join(f"{name} {mean:.3g}" for name, mean in zip(names, means, strict=True))
+    return _Stack(label, tracker, parts, total)
+
+
+def _timings(study: StudyResults) -> tuple[tuple[str, str, str, str, str], ...]:
+    """Per scenario and tracker: mean, median and 99th percentile of a step's CPU time, ms."""
+    rows = []
+    for name, cells in _by_scenario(study):
+        results = [result for cell in cells for result in cell.results]
+        for tracker in dict.fromkeys(t for result in results for t in result.time):
+            times = [result.time[tracker] for result in results if tracker in result.time]
+            figures = (
+                np.mean([t.mean for t in times]),
+                np.median([t.median for t in times]),
+                np.max([t.p99 for t in times]),
+            )
+            rows.append((name, tracker, *(f"{1000 * float(value):.3g}" for value in figures)))
+    return tuple(rows)  # type: ignore[arg-type]
+
+
+def _markdown_tables(study: StudyResults, summaries: Sequence[Summary]) -> list[str]:
+    first = summaries[0]
+    measured = [m for m in MAIN_METRICS if m in first.metrics] or list(first.metrics)
+    header = ["setting", "metric", *first.trackers]
+    header += [f"{tracker} − {first.reference}" for tracker in first.differences]
+    rows = []
+    for _, cells in _by_scenario(study):
+        for cell in cells:
+            summary = _summary(study, cell)
+            for metric in measured if summary else ():
+                assert summary is not None
+                row = metric_row(summary, metric)
+                setting = cell.scenario if not cell.point else f"{cell.scenario}: {cell.label}"
+                numbers = [_cell_text(text) for text in row.cells]
+                numbers += [_cell_text(d.text if d else None) for d in row.differences]
+                rows.append([setting, f"{row.name} {row.arrow}".strip(), *numbers])
+    return [markdown_table(header, rows)]
+
+
+def _cell_text(text: Any) -> str:
+    if text is None:
+        return "–"
+    return f"{text.mean} ± {text.half}" if text.half else str(text.mean)
+
+
+def _plain(text: str) -> str:
+    """Text that Markdown shows as it is."""
+    text = html.escape(text, quote=False)
+    for character in "\\`*_[]|#":
+        text = text.replace(character, f"\\{character}")
+    return " ".join(text.split())
+
+
+__all__ = ["Finding", "findings", "holm", "p_value", "robustness", "study_markdown", "study_page"]
