@@ -1,0 +1,270 @@
+"""`pmbm run`: one or a few trials of a scenario, a table and an HTML replay."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from pmbm.study import Estimate, Source, Summary, TrialResult
+    from pmbm.tracking import TrackerFactory
+    from reports.values import Replay, Section
+
+HEADLINE = (
+    "gospa",
+    "gospa_localisation",
+    "gospa_missed",
+    "gospa_false",
+    "ospa",
+    "mota",
+    "motp",
+    "idf1",
+    "hota",
+    "id_switches",
+    "fragmentations",
+    "false_positives",
+    "misses",
+)
+"""What the table shows; the JSON holds everything."""
+
+
+@click.command()
+@click.argument("scenarios", nargs=-1, required=True, metavar="NAME|FILE.toml...")
+@click.option("--trials", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option(
+    "--tracker",
+    "trackers",
+    multiple=True,
+    default=("pmbm", "argoverse"),
+    show_default=True,
+    metavar="NAME|MODULE:FACTORY",
+    help="A tracker to run; give it several times to compare. The first is compared with the rest.",
+)
+@click.option("--level", help="A level of the scenario's swept parameter, instead of its own.")
+@click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("reports"),
+    show_default=True,
+    help="Folder for the page.",
+)
+@click.option("--page", help="The page's name, without .html.  [default: the scenario's name]")
+@click.option("--replay", "replay_trial", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+def command(
+    scenarios: tuple[str, ...],
+    trials: int,
+    seed: int,
+    trackers: tuple[str, ...],
+    level: str | None,
+    json_file: str | None,
+    out: Path,
+    page: str | None,
+    replay_trial: int,
+    jobs: int,
+) -> None:
+    """Run trackers over trials of a scenario: a table, and a page to look at.
+
+    \b
+    Examples:
+      pmbm run truck_occlusion
+      pmbm run crossing --trials 20 --tracker pmbm --tracker argoverse --json -
+      pmbm run my_scene.toml --tracker my_package.tracking:MyTracker
+    """
+    from pmbm.errors import InputError
+    from pmbm.study import summarise
+    from pmbm.tracking import tracker_factory
+    from reports.render import run_page
+    from sim import load_scenario
+
+    if replay_trial >= trials:
+        raise InputError(
+            "there is no such trial to replay",
+            field="--replay",
+            expected=f"0 to {trials - 1}",
+            got=replay_trial,
+        )
+    factories = {name: tracker_factory(name) for name in trackers}
+    sources = [load_scenario(name) for name in scenarios]
+    if level is not None:
+        sources = [source.at(_level(source, level)) for source in sources]
+    target = _writable(out / f"{page or sources[0].name}.html")
+    json_target = None if json_file in (None, "-") else _writable(Path(str(json_file)))
+
+    figures, sections = [], []
+    for source in sources:
+        results = _run(source, factories, seed, trials, jobs, quiet=json_file == "-")
+        summary = summarise(results)
+        figures.append(_figures(source.name, trials, seed, summary))
+        sections.append(_section(source, factories, seed, replay_trial, summary))
+        _show(source.name, summary, results, to_stderr=json_file == "-")
+
+    repeat = shlex.join(["pmbm", *_arguments()])
+    title = sources[0].name if len(sources) == 1 else (page or "run")
+    target.write_text(run_page(sections, title=title, command=repeat), encoding="utf-8")
+    click.echo(f"{target}", err=True)
+    if json_file is not None:
+        text = json.dumps(figures[0] if len(figures) == 1 else figures, indent=1, allow_nan=False)
+        if json_target is None:
+            click.echo(text)
+        else:
+            json_target.write_text(text + "\n", encoding="utf-8")
+
+
+def _arguments() -> Sequence[str]:
+    import sys
+
+    return sys.argv[1:]
+
+
+def _level(scenario: Any, text: str) -> Any:
+    """The level that reads like this; the text itself, for the scenario to refuse, if none does."""
+    return {str(level): level for level in scenario.levels}.get(text, text)
+
+
+def _writable(path: Path) -> Path:
+    """The path, once its folder is there and it can be written: found out before any trial."""
+    from pmbm.errors import InputError
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        existed = path.exists()
+        with path.open("a", encoding="utf-8"):
+            pass
+        if not existed:
+            os.unlink(path)
+    except OSError as error:
+        raise InputError(
+            f"cannot write there: {error.strerror}",
+            file=path,
+            hint="name another folder with --out",
+        ) from error
+    return path
+
+
+def _run(
+    source: Source,
+    factories: Mapping[str, TrackerFactory],
+    seed: int,
+    trials: int,
+    jobs: int,
+    *,
+    quiet: bool,
+) -> list[TrialResult]:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from pmbm.study import run_trials
+
+    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
+        task = bar.add_task(source.name, total=trials)
+        return run_trials(
+            source,
+            factories,
+            seed,
+            trials,
+            jobs,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+
+
+def _figures(name: str, trials: int, seed: int, summary: Summary) -> dict[str, Any]:
+    return {
+        "scenario": name,
+        "trials": trials,
+        "seed": seed,
+        "trackers": {
+            tracker: {
+                metric: {"mean": value.mean, "sem": value.sem, "n": value.n}
+                for metric, value in estimates.items()
+            }
+            for tracker, estimates in summary.estimates.items()
+        },
+    }
+
+
+def _section(
+    source: Any,
+    factories: Mapping[str, TrackerFactory],
+    seed: int,
+    trial: int,
+    summary: Summary,
+) -> Section:
+    from reports.values import Section
+
+    replay, provenance = _replay(source, factories, seed, trial)
+    return Section(
+        name=source.name,
+        stresses=source.stresses,
+        summary=summary,
+        replay=replay,
+        provenance=provenance,
+    )
+
+
+def _replay(
+    source: Source, factories: Mapping[str, TrackerFactory], seed: int, trial: int
+) -> tuple[Replay, Mapping[str, Any]]:
+    from pmbm.metrics import evaluate
+    from pmbm.tracking import make_tracker, run
+    from reports.values import Replay
+
+    recording = source.record(seed, trial)
+    tracks = {
+        name: run(make_tracker(factory, recording.site), recording)
+        for name, factory in factories.items()
+    }
+    series = {
+        name: {
+            metric: value.series
+            for metric, value in evaluate(recording, sequence).items()
+            if value.series is not None
+        }
+        for name, sequence in tracks.items()
+    }
+    title = f"trial {trial} of seed {seed}"
+    replay = Replay(recording=recording, tracks=tracks, series=series, title=title)
+    return replay, recording.provenance
+
+
+def _show(name: str, summary: Summary, results: Sequence[TrialResult], *, to_stderr: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    trials = f"{summary.trials} trial{'s' if summary.trials > 1 else ''}"
+    table = Table(title=f"{name}: {trials}, mean ± half of the 95 % interval", title_justify="left")
+    table.add_column("metric")
+    for tracker in summary.trackers:
+        table.add_column(tracker, justify="right")
+    for tracker in summary.differences:
+        table.add_column(f"{tracker} - {summary.reference}", justify="right")
+    for metric in HEADLINE:
+        row = [summary.estimates[tracker].get(metric) for tracker in summary.trackers]
+        row += [difference.get(metric) for difference in summary.differences.values()]
+        table.add_row(metric, *map(_text, row))
+    times = [
+        sum(result.time[tracker].mean for result in results) / len(results)
+        for tracker in summary.trackers
+    ]
+    table.add_row("ms per step", *(f"{1000 * seconds:.2f}" for seconds in times))
+    Console(stderr=to_stderr).print(table)
+
+
+def _text(value: Estimate | None) -> str:
+    if value is None or value.mean is None:
+        return "undefined"
+    if value.low is None or value.high is None:
+        return f"{value.mean:.4g}"
+    half = (value.high - value.low) / 2
+    # Two digits of the uncertainty, and the mean to the same place.
+    places = 0 if half == 0 else max(0, 1 - math.floor(math.log10(half)))
+    return f"{value.mean:.{places}f} ± {half:.{places}f}" if half else f"{value.mean:.4g} ± 0"

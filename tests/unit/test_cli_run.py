@@ -1,0 +1,113 @@
+"""`pmbm run`, as a user calls it."""
+
+import json
+
+import pytest
+
+from pmbm.cli import main
+
+QUICK = """
+name = "short"
+stresses = "nothing, quickly"
+duration = 2.0
+
+[scene]
+kind = "road"
+sensor = { max_range = 60.0 }
+
+[scene.roads.main]
+start = [-200.0, 0.0]
+end = [200.0, 0.0]
+
+[scene.actors.car]
+road = "main"
+position = 210.0
+speed = 5.0
+
+[detector]
+profile = "nominal"
+"""
+
+
+@pytest.fixture
+def short(tmp_path):
+    path = tmp_path / "short.toml"
+    path.write_text(QUICK)
+    return path
+
+
+def call(*arguments):
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    return stop.value.code
+
+
+def refused(capsys, *arguments):
+    """The one line on stderr that a refusal gives."""
+    assert call(*arguments) == 2
+    message = capsys.readouterr().err.strip().splitlines()
+    assert len(message) == 1, message
+    assert message[0].startswith("pmbm: ")
+    assert "Traceback" not in message[0]
+    return message[0]
+
+
+def test_a_run_gives_a_table_a_page_and_the_promised_json(short, tmp_path, capsys):
+    code = call("run", short, "--trials", 2, "--seed", 3, "--out", tmp_path, "--json", "-")
+    out, err = capsys.readouterr()
+    figures = json.loads(out)
+    assert code == 0
+    assert "short: 2 trials" in err
+    assert (tmp_path / "short.html").read_text().startswith("<!doctype html>")
+    assert set(figures) == {"scenario", "trials", "seed", "trackers"}
+    assert (figures["scenario"], figures["trials"], figures["seed"]) == ("short", 2, 3)
+    assert list(figures["trackers"]) == ["pmbm", "argoverse"]
+    for metrics in figures["trackers"].values():
+        for name in ("gospa", "ospa", "mota", "id_switches", "false_positives", "misses"):
+            assert set(metrics[name]) == {"mean", "sem", "n"}
+            assert metrics[name]["n"] == 2
+            assert metrics[name]["mean"] is not None
+
+
+def test_equal_calls_give_equal_figures_and_workers_change_nothing(short, tmp_path):
+    files = [tmp_path / f"{i}.json" for i in range(3)]
+    for file, jobs in zip(files, (1, 1, 2), strict=True):
+        arguments = ("--trials", 2, "--out", tmp_path, "--json", file, "--jobs", jobs)
+        assert call("run", short, *arguments) == 0
+    assert files[0].read_text() == files[1].read_text() == files[2].read_text()
+
+
+def test_unknown_names_are_met_with_the_nearest_valid_one(short, capsys, tmp_path):
+    assert "did you mean 'crossing'?" in refused(capsys, "run", "crosing")
+    assert "did you mean 'argoverse'?" in refused(capsys, "run", short, "--tracker", "argovers")
+    assert "did you mean 'run'?" in refused(capsys, "rum", "crossing")
+    assert "no_such_module" in refused(capsys, "run", short, "--tracker", "no_such_module:make")
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "words"),
+    [
+        ('profile = "nominal"', 'profile = "nominal', ["short.toml", "line"]),
+        ('profile = "nominal"', "objects = { detection_probability = 1.3 }", ["1.3", "short.toml"]),
+        ('profile = "nominal"', "clutter = { rate = -2.0 }", ["-2", "rate", "short.toml"]),
+        ("duration", "durration", ["durration", "did you mean 'duration'?", "short.toml"]),
+        ("speed = 5.0", 'speed = "fast"', ["speed", "short.toml", "fast"]),
+    ],
+)
+def test_a_file_with_a_mistake_is_refused_by_its_place(short, capsys, was, becomes, words):
+    short.write_text(QUICK.replace(was, becomes))
+    message = refused(capsys, "run", short)
+    for word in words:
+        assert word in message
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_any_trial(short, capsys, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    assert "cannot write there" in refused(capsys, "run", short, "--out", blocked / "deeper")
+    assert "cannot write there" in refused(capsys, "run", short, "--json", blocked / "x.json")
+    assert list(tmp_path.glob("*.html")) == []
+
+
+def test_a_replay_must_be_of_a_trial_that_is_run(short, capsys):
+    assert "--replay" in refused(capsys, "run", short, "--trials", 2, "--replay", 2)
