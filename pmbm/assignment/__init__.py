@@ -17,8 +17,10 @@ to what is said above about equal costs.  PMBM_NO_NATIVE=1 in the environment ch
 from __future__ import annotations
 
 import importlib
+import math
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Final, Literal
 
@@ -28,7 +30,16 @@ from numpy.typing import ArrayLike, NDArray
 from pmbm.assignment import reference
 from pmbm.errors import InputError
 
-__all__ = ["LARGEST_COST", "Solutions", "k_best", "k_best_batch", "kernel", "optimal"]
+__all__ = [
+    "LARGEST_COST",
+    "Choices",
+    "Solutions",
+    "k_best",
+    "k_best_batch",
+    "k_best_choices",
+    "kernel",
+    "optimal",
+]
 
 Solutions = tuple[NDArray[np.int32], NDArray[np.float64]]
 """columns (n, R), the cheapest first, and their costs (n,)."""
@@ -96,6 +107,85 @@ def k_best_batch(costs: Sequence[ArrayLike], ks: Sequence[int]) -> list[Solution
         column += count * height
         total += count
     return solutions
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Choices:
+    """Ways through sparse problems, sorted by problem, then cost, then columns.
+
+    problem (N,), cost (N,) : of each way.
+    way (t,), option (t,) : way `way[i]` uses option `option[i]`; sorted by way, then row.
+    """
+
+    problem: NDArray[np.int64]
+    cost: NDArray[np.float64]
+    way: NDArray[np.int64]
+    option: NDArray[np.int64]
+
+
+def k_best_choices(
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+    cost: NDArray[np.float64],
+    *,
+    first_row: NDArray[np.int64],
+    first_column: NDArray[np.int64],
+    ks: NDArray[np.int64],
+    margin: float = math.inf,
+) -> Choices:
+    """The k cheapest ways in which rows take columns or nothing, for many sparse problems at once.
+
+    Option i lets row[i] take column[i] at cost[i]; a row may also take nothing, at cost 0.  Rows
+    and columns are numbered through over all problems.  As a cost matrix, such a problem would have
+    one more column for each row, forbidden to the others.
+
+    Parameters
+    ----------
+    row (n,), column (n,), cost (n,) : the options, sorted by row, then column; finite costs.
+    first_row, first_column (P+1,) : problem p owns rows first_row[p] to first_row[p+1], and
+        columns likewise.
+    ks (P,) : at most so many ways of each problem, 1 or more.
+    margin : ways that cost over this more than their problem's cheapest are not looked for, >= 0.
+
+    Raises
+    ------
+    InputError : a cost that is not finite or beyond `LARGEST_COST`; options out of order or outside
+    their problem.
+    """
+    _check_options(row, column, cost, first_row, first_column)
+    count, total, way, option = _kernel.k_best_choices(
+        row, column, cost, first_row, first_column, ks, margin
+    )
+    return Choices(np.repeat(np.arange(len(ks)), count), total, way, option)
+
+
+def _check_options(
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+    cost: NDArray[np.float64],
+    first_row: NDArray[np.int64],
+    first_column: NDArray[np.int64],
+) -> None:
+    problem = np.searchsorted(first_row, row, side="right") - 1
+    inside = (
+        (problem >= 0)
+        & (problem < len(first_row) - 1)
+        & (column >= first_column[problem])
+        & (column < first_column[np.minimum(problem + 1, len(first_column) - 1)])
+    )
+    ordered = np.ones(len(row), bool)
+    ordered[1:] = (row[1:] > row[:-1]) | ((row[1:] == row[:-1]) & (column[1:] > column[:-1]))
+    for field, good, expected in (
+        ("cost", np.abs(cost) <= LARGEST_COST, f"numbers within +-{LARGEST_COST:g}"),
+        ("row", ordered, "options sorted by row, then column, each once"),
+        ("column", inside, "rows and columns of one problem"),
+    ):
+        if not good.all():
+            bad = np.flatnonzero(~good)
+            got = (int(row[bad[0]]), int(column[bad[0]]), float(cost[bad[0]]))
+            raise InputError(
+                "an option that cannot be used", field=field, rows=bad, expected=expected, got=got
+            )
 
 
 def kernel() -> Literal["compiled", "reference"]:

@@ -18,7 +18,6 @@
 #include <cstdint>
 #include <functional>
 #include <limits>
-#include <queue>
 #include <vector>
 
 namespace pmbm {
@@ -29,18 +28,56 @@ class KBest {
     // costs by columns), n <= k.  `cost` is rows x width, row-major, finite or +inf.
     std::int64_t solve(const double* cost, std::int32_t rows, std::int32_t width, std::int64_t k,
                        std::vector<std::int32_t>& columns, std::vector<double>& costs) {
-        if (k <= 0 || rows > width) return 0;
         load(cost, rows, width);
-        if (!solve_first()) return 0;
-        found_columns_.clear();
-        found_costs_.clear();
-        while (true) {
-            emit();
-            if (static_cast<std::int64_t>(found_costs_.size()) >= k) break;
-            open_parts(k);
-            if (!next_best(k)) break;
+        const auto order = rank(k, kInf);
+        for (const auto i : order) {
+            costs.push_back(found_costs_[i]);
+            columns.insert(columns.end(), found(i), found(i) + rows_);
         }
-        return hand_out(columns, costs);
+        return static_cast<std::int64_t>(order.size());
+    }
+
+    // A sparse problem: option i lets `row[i]` take `column[i]` at `cost[i]`, sorted by row, then
+    // column; a row may also take nothing, at cost 0.  Rows, columns and options are numbered
+    // through over many problems; the first_... say where this one's begin.
+    struct Options {
+        const std::int64_t *row, *column;
+        const double* cost;
+        std::int64_t count, first, first_row, rows, first_column, columns;
+    };
+
+    // The k cheapest ways within `margin` of the cheapest.  Appends their costs to `costs`, and to
+    // `takers` and `taken` the index into `costs` of a way and an option that it uses.
+    std::int64_t choose(const Options& o, std::int64_t k, double margin, std::vector<double>& costs,
+                        std::vector<std::int64_t>& takers, std::vector<std::int64_t>& taken) {
+        rows_ = static_cast<std::int32_t>(o.rows);
+        width_ = static_cast<std::int32_t>(o.columns + o.rows);
+        clear();
+        std::int64_t option = 0;
+        for (std::int32_t row = 0; row < rows_; ++row) {
+            for (; option < o.count && o.row[option] == o.first_row + row; ++option) {
+                column_.push_back(static_cast<std::int32_t>(o.column[option] - o.first_column));
+                cost_.push_back(o.cost[option]);
+            }
+            // Taking nothing is a column of the row's own.
+            column_.push_back(static_cast<std::int32_t>(o.columns) + row);
+            cost_.push_back(0.0);
+            start_.push_back(column_.size());
+        }
+        prepare();
+        const auto order = rank(k, margin);
+        for (const auto i : order) {
+            const auto way = static_cast<std::int64_t>(costs.size());
+            for (std::int32_t row = 0; row < rows_; ++row) {
+                const auto column = found(i)[row];
+                if (column >= o.columns) continue;
+                takers.push_back(way);
+                // Every row before this one has one entry more than options.
+                taken.push_back(o.first + static_cast<std::int64_t>(entry_of(row, column)) - row);
+            }
+            costs.push_back(found_costs_[i]);
+        }
+        return static_cast<std::int64_t>(order.size());
     }
 
  private:
@@ -113,9 +150,11 @@ class KBest {
     std::vector<Change> changes_;
     std::vector<Pair> pairs_;
     std::vector<Scanned> scanned_;
-    std::priority_queue<Entry, std::vector<Entry>, std::greater<>> queue_;
+    std::vector<Entry> queue_;
     // The k smallest costs of solutions known so far, emitted or waiting, the largest on top.
-    std::priority_queue<double> cheapest_;
+    std::vector<double> cheapest_;
+    std::int64_t k_ = 0;
+    double margin_ = kInf;
 
     std::vector<std::int32_t> found_columns_;
     std::vector<double> found_costs_;
@@ -151,9 +190,7 @@ class KBest {
     void load(const double* cost, std::int32_t rows, std::int32_t width) {
         rows_ = rows;
         width_ = width;
-        start_.assign(1, 0);
-        column_.clear();
-        cost_.clear();
+        clear();
         for (std::int32_t row = 0; row < rows; ++row) {
             const double* line = cost + static_cast<std::size_t>(row) * width;
             for (std::int32_t column = 0; column < width; ++column) {
@@ -164,6 +201,13 @@ class KBest {
             }
             start_.push_back(column_.size());
         }
+        prepare();
+    }
+
+    void clear() {
+        start_.assign(1, 0);
+        column_.clear();
+        cost_.clear();
         nodes_.clear();
         row_price_.clear();
         column_price_.clear();
@@ -175,12 +219,32 @@ class KBest {
         changes_.clear();
         pairs_.clear();
         scanned_.clear();
-        queue_ = {};
-        cheapest_ = {};
-        distance_.assign(width, kInf);
-        column_slack_.assign(width, kInf);
-        from_.assign(width, kNone);
+        queue_.clear();
+        cheapest_.clear();
+        found_columns_.clear();
+        found_costs_.clear();
+    }
+
+    void prepare() {
+        distance_.assign(width_, kInf);
+        column_slack_.assign(width_, kInf);
+        from_.assign(width_, kNone);
         is_banned_.assign(cost_.size(), 0);
+    }
+
+    // Finds the k best within `margin` of the best; gives their order among the found ones.
+    std::vector<std::size_t> rank(std::int64_t k, double margin) {
+        k_ = k;
+        margin_ = margin;
+        if (k > 0 && rows_ <= width_ && solve_first()) {
+            emit();
+            while (static_cast<std::int64_t>(found_costs_.size()) < k) {
+                open_parts();
+                if (!next_best()) break;
+                emit();
+            }
+        }
+        return in_order();
     }
 
     // The cheapest assignment of all, row by row along shortest paths.
@@ -360,17 +424,35 @@ class KBest {
         nodes_[node].cost = total;
         found_costs_.push_back(total);
         found_columns_.insert(found_columns_.end(), t.held, t.held + rows_);
-        if (node == 0) cheapest_.push(total);
+        if (node == 0) know(total);
     }
 
-    double limit(std::int64_t k) const {
-        return static_cast<std::int64_t>(cheapest_.size()) < k ? kInf : cheapest_.top();
+    void know(double cost) {
+        cheapest_.push_back(cost);
+        std::push_heap(cheapest_.begin(), cheapest_.end());
+        if (static_cast<std::int64_t>(cheapest_.size()) > k_) {
+            std::pop_heap(cheapest_.begin(), cheapest_.end());
+            cheapest_.pop_back();
+        }
+    }
+
+    // Nothing that costs more is wanted.
+    double limit() const {
+        const double within = found_costs_.front() + margin_;
+        return static_cast<std::int64_t>(cheapest_.size()) < k_
+                   ? within
+                   : std::min(within, cheapest_.front());
+    }
+
+    void enqueue(const Entry& entry) {
+        queue_.push_back(entry);
+        std::push_heap(queue_.begin(), queue_.end(), std::greater<>());
     }
 
     // Parts of the newest node's set, over `open_rows_`: one for each row that could still change.
     // A row that leaves its column takes another, and somebody else (or the hub) takes its column:
     // two different pairs, whose least reduced costs add up to the bound.
-    void open_parts(std::int64_t k) {
+    void open_parts() {
         const auto index = nodes_.size() - 1;
         auto& node = nodes_[index];
         const auto t = tables(index);
@@ -402,7 +484,7 @@ class KBest {
             }
             parts_.push_back({row_slack, row});
         }
-        const double most = limit(k);
+        const double most = limit();
         auto kept = node.first_part;
         for (auto i = node.first_part; i < parts_.size(); ++i) {
             auto part = parts_[i];
@@ -417,29 +499,30 @@ class KBest {
         }
         node.part_count = node.waiting = parts_.size() - node.first_part;
         std::make_heap(waiting(node), waiting(node) + node.waiting, std::greater<>());
-        if (node.waiting) queue_.push({waiting(node)->bound, -1, index});
+        if (node.waiting) enqueue({waiting(node)->bound, -1, index});
     }
 
     Part* waiting(const Node& node) { return parts_.data() + node.first_part; }
 
     // Solves parts in the order of their bounds until a solved one is the cheapest of all that
     // waits; that becomes the newest node.
-    bool next_best(std::int64_t k) {
+    bool next_best() {
         while (!queue_.empty()) {
-            const auto entry = queue_.top();
-            queue_.pop();
+            std::pop_heap(queue_.begin(), queue_.end(), std::greater<>());
+            const auto entry = queue_.back();
+            queue_.pop_back();
             if (entry.change >= 0) {
                 enter(changes_[static_cast<std::size_t>(entry.change)]);
                 return true;
             }
-            solve_part(entry.node, k);
+            solve_part(entry.node);
         }
         return false;
     }
 
     // Extracts the node's most promising part and solves it.  Rows that still wait are fixed in it:
     // so the parts are disjoint, and those that promise least are the widest.
-    void solve_part(std::size_t index, std::int64_t k) {
+    void solve_part(std::size_t index) {
         auto& node = nodes_[index];
         const auto t = tables(index);
         auto* heap = waiting(node);
@@ -456,7 +539,7 @@ class KBest {
         }
         Change change{};
         const bool found =
-            search(index, row, t.held[row], turn, limit(k) - node.cost, heap + node.waiting,
+            search(index, row, t.held[row], turn, limit() - node.cost, heap + node.waiting,
                    node.part_count - node.waiting, change);
         is_banned_[own] = 0;
         for (std::size_t i = 0; i < node.banned_count; ++i) {
@@ -466,12 +549,11 @@ class KBest {
             change.node = index;
             change.part = node.waiting;
             const double cost = node.cost + change.length;
-            queue_.push({cost, static_cast<std::ptrdiff_t>(changes_.size()), index});
+            enqueue({cost, static_cast<std::ptrdiff_t>(changes_.size()), index});
             changes_.push_back(change);
-            cheapest_.push(cost);
-            if (static_cast<std::int64_t>(cheapest_.size()) > k) cheapest_.pop();
+            know(cost);
         }
-        if (node.waiting && heap->bound <= limit(k)) queue_.push({heap->bound, -1, index});
+        if (node.waiting && heap->bound <= limit()) enqueue({heap->bound, -1, index});
     }
 
     std::size_t entry_of(std::int32_t row, std::int32_t column) const {
@@ -517,24 +599,20 @@ class KBest {
             std::upper_bound(start_.begin(), start_.end(), entry) - start_.begin() - 1);
     }
 
+    const std::int32_t* found(std::size_t i) const {
+        return found_columns_.data() + i * static_cast<std::size_t>(rows_);
+    }
+
     // Bounds and partition may take two costs for equal that differ by rounding: order at the end.
-    std::int64_t hand_out(std::vector<std::int32_t>& columns, std::vector<double>& costs) {
-        const auto n = found_costs_.size();
-        const auto line = [&](std::size_t i) {
-            return found_columns_.begin() + static_cast<std::ptrdiff_t>(i * rows_);
-        };
-        std::vector<std::size_t> order(n);
-        for (std::size_t i = 0; i < n; ++i) order[i] = i;
-        std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    std::vector<std::size_t> in_order() const {
+        std::vector<std::size_t> order(found_costs_.size());
+        for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+        std::sort(order.begin(), order.end(), [this](std::size_t a, std::size_t b) {
             if (found_costs_[a] != found_costs_[b]) return found_costs_[a] < found_costs_[b];
-            return std::lexicographical_compare(line(a), line(a) + rows_, line(b),
-                                                line(b) + rows_);
+            return std::lexicographical_compare(found(a), found(a) + rows_, found(b),
+                                                found(b) + rows_);
         });
-        for (const auto i : order) {
-            costs.push_back(found_costs_[i]);
-            columns.insert(columns.end(), line(i), line(i) + rows_);
-        }
-        return static_cast<std::int64_t>(n);
+        return order;
     }
 };
 

@@ -47,9 +47,39 @@ nb::tuple k_best(Input<double> cost, Input<std::int32_t> rows, Input<std::int32_
                           hand_over(std::move(counts)));
 }
 
+// Many sparse problems: problem p owns rows first_row[p] to first_row[p + 1], likewise columns.
+nb::tuple k_best_choices(Input<std::int64_t> row, Input<std::int64_t> column, Input<double> cost,
+                         Input<std::int64_t> first_row, Input<std::int64_t> first_column,
+                         Input<std::int64_t> ks, double margin) {
+    std::vector<std::int64_t> counts, takers, taken;
+    std::vector<double> costs;
+    {
+        nb::gil_scoped_release released;
+        pmbm::KBest solver;
+        const auto options = static_cast<std::int64_t>(row.size());
+        std::int64_t first = 0;
+        for (std::size_t p = 0; p < ks.size(); ++p) {
+            const auto r = first_row.data()[p], next_row = first_row.data()[p + 1];
+            const auto c = first_column.data()[p], next_column = first_column.data()[p + 1];
+            auto last = first;
+            while (last < options && row.data()[last] < next_row) ++last;
+            const pmbm::KBest::Options problem{row.data() + first, column.data() + first,
+                                               cost.data() + first, last - first, first, r,
+                                               next_row - r, c, next_column - c};
+            counts.push_back(
+                solver.choose(problem, ks.data()[p], margin, costs, takers, taken));
+            first = last;
+        }
+    }
+    return nb::make_tuple(hand_over(std::move(counts)), hand_over(std::move(costs)),
+                          hand_over(std::move(takers)), hand_over(std::move(taken)));
+}
+
 }  // namespace
 
 NB_MODULE(_native, m) {
     m.doc() = "The compiled kernel of pmbm.assignment.";
     m.def("k_best", &k_best, nb::arg("cost"), nb::arg("rows"), nb::arg("widths"), nb::arg("ks"));
+    m.def("k_best_choices", &k_best_choices, nb::arg("row"), nb::arg("column"), nb::arg("cost"),
+          nb::arg("first_row"), nb::arg("first_column"), nb::arg("ks"), nb::arg("margin"));
 }

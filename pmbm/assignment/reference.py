@@ -12,6 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from pmbm.assignment.enumeration import Problems, Ways, enumerate_ways
+
+_ENUMERATE_UP_TO = 256
+"""Ways of one problem; above, the K best are found by assignment instead of listing them all."""
+
 Matrix = NDArray[np.float64]
 
 
@@ -53,8 +58,64 @@ def k_best(
     )
 
 
-def murty(cost: Matrix, k: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """The k cheapest assignments (n, R) of a checked (R, C) cost matrix, and their costs (n,).
+def k_best_choices(
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+    cost: NDArray[np.float64],
+    first_row: NDArray[np.int64],
+    first_column: NDArray[np.int64],
+    ks: NDArray[np.int64],
+    margin: float,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Solve many sparse problems, as `pmbm.assignment.k_best_choices` describes them.
+
+    Returns the number of ways of each problem, their costs, and for every option used the way that
+    uses it and the option.  The compiled kernel has the same signature.
+
+    Small problems are listed in full, all of them at once; large ones ranked one by one.
+    """
+    problems = Problems(row, column, cost, first_row)
+    few = problems.combinations() <= _ENUMERATE_UP_TO
+    listed = enumerate_ways(problems, np.flatnonzero(few))
+    ranked = [
+        _rank(problems, problem, first_column, int(ks[problem]), margin)
+        for problem in np.flatnonzero(~few).tolist()
+    ]
+    # Levels are a problem's rows; shorter problems take nothing in those that they lack.
+    levels = max([listed.option.shape[1], *(ways.option.shape[1] for ways in ranked)])
+    ways = Ways.joined([listed, *ranked], levels).best(ks, margin)
+    way, level = np.nonzero(ways.option >= 0)
+    return (
+        np.bincount(ways.problem, minlength=len(ks)).astype(np.int64),
+        ways.cost,
+        way.astype(np.int64),
+        ways.option[way, level],
+    )
+
+
+def _rank(
+    problems: Problems, problem: int, first_column: NDArray[np.int64], k: int, margin: float
+) -> Ways:
+    """The best ways of one problem as a dense assignment problem: taking nothing is a column of
+    the row's own."""
+    first, last = problems.first_row[problem : problem + 2]
+    rows, columns = last - first, first_column[problem + 1] - first_column[problem]
+    options = np.arange(*np.searchsorted(problems.row, [first, last]))
+    at = problems.row[options] - first, problems.column[options] - first_column[problem]
+    cost = np.full((rows, columns + rows), np.inf)
+    cost[:, columns:][np.diag_indices(rows)] = 0.0
+    cost[at] = problems.cost[options]
+    option = np.full(cost.shape, -1, np.int64)
+    option[at] = options
+    taken, costs = murty(cost, k, margin)
+    return Ways(np.full(len(costs), problem), costs, option[np.arange(rows), taken])
+
+
+def murty(
+    cost: Matrix, k: int, margin: float = np.inf
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """The k cheapest assignments (n, R) of a checked (R, C) cost matrix within `margin` of the
+    cheapest, and their costs (n,).
 
     Taking the cheapest assignment out of its set leaves a set that falls into disjoint parts, one
     per row i: agree with it before i, differ from it in i.  Each part's cheapest member is again an
@@ -70,6 +131,9 @@ def murty(cost: Matrix, k: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]
     while queue and len(best) < k:
         node = heapq.heappop(queue)
         best.append(node)
+        if node.cost > best[0].cost + margin:
+            best.pop()
+            break
         for row in range(node.fixed, rows):
             inherited = node.forbidden if row == node.fixed else frozenset()
             _enqueue(queue, cost, node.columns[:row], inherited | {node.columns[row]})
