@@ -120,7 +120,8 @@ def described(name: str, *totals: str) -> Parts:
     return parts
 
 
-def _mota(counts: Counts) -> float | Undefined:
+def mota(counts: Counts) -> float | Undefined:
+    """1 - (misses + false positives + switches) / truths."""
     if not counts["truths"]:
         return Undefined(_NO_TRUTH)
     errors = counts["misses"] + counts["false_positives"] + counts["switches"]
@@ -182,6 +183,13 @@ def _anees_parts(counts: Counts) -> Mapping[str, float]:
     }
 
 
+def _calibration_error(counts: Counts) -> float | Undefined:
+    if not counts["reports"]:
+        return Undefined(_NO_TRACKS)
+    return float(np.abs(counts["probability_sum"] - counts["hits"]).sum() / counts["reports"])
+
+
+_PARTS: Final = ("localisation", "missed", "false", "switch")
 _NO_FRAMES: Final = "no frames"
 _NO_TRUTH: Final = "no truth"
 _NO_TRACKS: Final = "no tracks"
@@ -233,48 +241,48 @@ _DEFINITIONS: Final = (
         parts=means("frames", "localisation", "cardinality"),
     ),
     Definition(
-        name="mota", group="clear", unit="1", direction="higher",
+        name="mota", group="clear", variant="clear", unit="1", direction="higher",
         answers="What share of objects is found, less false boxes and identity switches?",
-        formula=_mota,
+        formula=mota,
     ),
     Definition(
-        name="motp", group="clear", unit="m", direction="lower",
+        name="motp", group="clear", variant="clear", unit="m", direction="lower",
         answers="How far is a matched box from its object?",
         formula=ratio("distance_sum", "matches", _NO_MATCH),
     ),
     Definition(
-        name="id_switches", group="clear", unit="events", direction="lower",
+        name="id_switches", group="clear", variant="clear", unit="events", direction="lower",
         answers="How often does an object change its track id?", formula=total("switches"),
     ),
     Definition(
-        name="false_positives", group="clear", unit="boxes", direction="lower",
+        name="false_positives", group="clear", variant="clear", unit="boxes", direction="lower",
         answers="How many reported boxes are nothing?", formula=total("false_positives"),
     ),
     Definition(
-        name="misses", group="clear", unit="boxes", direction="lower",
+        name="misses", group="clear", variant="clear", unit="boxes", direction="lower",
         answers="How many true boxes are not reported?", formula=total("misses"),
     ),
     Definition(
-        name="fragmentations", group="clear", unit="events", direction="lower",
+        name="fragmentations", group="clear", variant="clear", unit="events", direction="lower",
         answers="How often is a track interrupted?", formula=total("fragmentations"),
     ),
     Definition(
-        name="precision", group="clear", unit="1", direction="higher",
+        name="precision", group="clear", variant="clear", unit="1", direction="higher",
         answers="What share of reported boxes is real?",
         formula=ratio("matches", "tracks", _NO_TRACKS),
     ),
     Definition(
-        name="recall", group="clear", unit="1", direction="higher",
+        name="recall", group="clear", variant="clear", unit="1", direction="higher",
         answers="What share of true boxes is reported?",
         formula=ratio("matches", "truths", _NO_TRUTH),
     ),
     Definition(
-        name="mostly_tracked", group="clear", unit="1", direction="higher",
+        name="mostly_tracked", group="clear", variant="clear", unit="1", direction="higher",
         answers="What share of objects is tracked for at least 80 % of its life?",
         formula=ratio("mostly_tracked", "objects", _NO_TRUTH),
     ),
     Definition(
-        name="mostly_lost", group="clear", unit="1", direction="lower",
+        name="mostly_lost", group="clear", variant="clear", unit="1", direction="lower",
         answers="What share of objects is tracked for less than 20 % of its life?",
         formula=ratio("mostly_lost", "objects", _NO_TRUTH),
     ),
@@ -380,22 +388,80 @@ _DEFINITIONS: Final = (
         ),
         parts=_anees_parts,
     ),
+    Definition(
+        name="existence_brier", group="existence", unit="1", direction="lower", default=False,
+        answers="How good is the reported probability of existence (mean squared error)?",
+        formula=ratio("square_sum", "reports", _NO_TRACKS),
+    ),
+    Definition(
+        name="existence_calibration_error", group="existence", unit="1", direction="lower",
+        default=False, answers="How far is the reported probability from the share that is real?",
+        formula=_calibration_error,
+    ),
+    Definition(
+        name="tgospa", group="tgospa", unit="m", direction="lower", default=False,
+        answers="How far are whole trajectories off, switches of identity included?",
+        formula=lambda counts: sum(counts[part] for part in _PARTS) ** (1 / counts["order"]),
+        parts=lambda counts: {part: float(counts[part]) for part in _PARTS},
+    ),
+    Definition(
+        name="siap_completeness", group="siap", unit="1", direction="higher", default=False,
+        answers="What share of objects has a track?",
+        formula=ratio("tracked", "truths", _NO_TRUTH),
+    ),
+    Definition(
+        name="siap_ambiguity", group="siap", unit="1", direction="lower", default=False,
+        answers="How many tracks has a tracked object (1 is best)?",
+        formula=ratio("associated", "tracked", _NO_MATCH),
+    ),
+    Definition(
+        name="siap_spuriousness", group="siap", unit="1", direction="lower", default=False,
+        answers="What share of tracks follows nothing?",
+        formula=lambda counts: (
+            (counts["tracks"] - counts["associated"]) / counts["tracks"]
+            if counts["tracks"]
+            else Undefined(_NO_TRACKS)
+        ),
+    ),
+    Definition(
+        name="siap_position_accuracy", group="siap", unit="m", direction="lower", default=False,
+        answers="How far is a track from its object?",
+        formula=ratio("position_error", "associated", _NO_MATCH),
+    ),
+    Definition(
+        name="siap_velocity_accuracy", group="siap", unit="m/s", direction="lower",
+        default=False, answers="How wrong is a track's velocity?",
+        formula=ratio("velocity_error", "associated", _NO_MATCH),
+    ),
+    Definition(
+        name="siap_track_changes", group="siap", unit="1/s", direction="lower", default=False,
+        answers="How often does an object change its track, per time tracked?",
+        formula=ratio("track_changes", "time_tracked", _NO_MATCH),
+    ),
+    Definition(
+        name="siap_longest_segment", group="siap", unit="1", direction="higher", default=False,
+        answers="What share of its life is an object's longest track?",
+        formula=ratio("longest_segment", "lifetime", "no object lives for two frames"),
+    ),
 )  # fmt: skip
 
-_BY_NAME: Final = {(entry.name, entry.variant): entry for entry in _DEFINITIONS}
+_BY_NAME: Final = {entry.name: entry for entry in _DEFINITIONS}
 
 DEFAULT_METRICS: Final = tuple(
-    name for entry in _DEFINITIONS for name in (entry.name, entry.name + OBSERVABLE)
+    name
+    for entry in _DEFINITIONS
+    if entry.default
+    for name in (entry.name, entry.name + OBSERVABLE)
 )
 """What `evaluate` gives unless told otherwise."""
 
 
-def definition(name: str, variant: str = "standard") -> Definition:
+def definition(name: str) -> Definition:
     """The definition behind a name; InputError, with the nearest valid name, where there is none.
 
     A name may end in "_observable".
     """
-    entry = _BY_NAME.get((name.removesuffix(OBSERVABLE), variant))
+    entry = _BY_NAME.get(name.removesuffix(OBSERVABLE))
     if entry is None:
         raise InputError(f"no metric '{name}'", hint=nearest_hint(name, names(), "metric"))
     return entry
@@ -403,4 +469,4 @@ def definition(name: str, variant: str = "standard") -> Definition:
 
 def names() -> Iterable[str]:
     """Every name that `evaluate` knows."""
-    return [name for name, _ in _BY_NAME] + [name + OBSERVABLE for name, _ in _BY_NAME]
+    return [name + suffix for suffix in ("", OBSERVABLE) for name in _BY_NAME]

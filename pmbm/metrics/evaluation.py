@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pmbm.errors import InputError
 from pmbm.labels import Label
 from pmbm.metrics import catalogue
+from pmbm.metrics.calibration import reliability
 from pmbm.metrics.catalogue import MetricParameters
 from pmbm.metrics.clear import Matches, clear_counts, clear_matches
 from pmbm.metrics.consistency import normalised_squares
@@ -22,7 +23,9 @@ from pmbm.metrics.identity import identity_counts
 from pmbm.metrics.ospa import ospa_series
 from pmbm.metrics.result import OBSERVABLE, Evaluation, MetricValue, Samples
 from pmbm.metrics.scene import Scene, scene_of
+from pmbm.metrics.siap import siap_associations, siap_counts
 from pmbm.metrics.testbed import object_measures, occlusion_measures, velocity_error, yaw_error
+from pmbm.metrics.tgospa import tgospa
 from pmbm.metrics.trajectory import ospa2_series
 from pmbm.types import Recording, Tracks, TrackSequence
 
@@ -40,8 +43,9 @@ def evaluate(
     """Score tracks against the truth of the frames that were stepped.
 
     tracks : what `run` gave, or one `Tracks` value per frame of truth.
-    metrics : names; by default all but the costly "tgospa".  A name scores all objects; the same
-        name with "_observable" at its end scores observable objects only.
+    metrics : names; by default all but "tgospa" (costly), the SIAP attributes and the calibration
+        of existence.  A name scores all objects; the same name with "_observable" at its end
+        scores observable objects only.
     parameters : cutoffs, orders and gates.
     per_class : also score each class alone, truth and tracks of that label.
 
@@ -258,6 +262,50 @@ def _consistency(work: _Work) -> _Tally:
     )
 
 
+def _existence(work: _Work) -> _Tally:
+    real = np.zeros(len(work.scene.tracks), np.bool_)
+    real[work.matches.track] = True
+    result = reliability(work.scene.tracks.score, real)
+    return _Tally(
+        counts={
+            "reports": len(real),
+            "count": result.count,
+            "hits": result.hits,
+            "probability_sum": result.probability_sum,
+            "square_sum": result.square_sum,
+        },
+        series={},
+        parameters={"gate": work.parameters.gate, "bins": len(result.count)},
+    )
+
+
+def _tgospa(work: _Work) -> _Tally:
+    p = work.parameters
+    result = tgospa(
+        work.scene, cutoff=p.tgospa_cutoff, order=p.tgospa_order, switch=p.tgospa_switch
+    )
+    return _Tally(
+        counts={key: value for key, value in vars(result).items() if key != "distance"},
+        series={},
+        parameters={
+            "cutoff": p.tgospa_cutoff,
+            "order": p.tgospa_order,
+            "switch_cost": p.tgospa_switch,
+            "distance": "xy",
+        },
+    )
+
+
+def _siap(work: _Work) -> _Tally:
+    gate = work.parameters.gate
+    associations = siap_associations(work.scene, gate=gate)
+    return _Tally(
+        counts=asdict(siap_counts(work.scene, associations)),
+        series={},
+        parameters={"gate": gate, "distance": "xy", "confirm": 1, "end": 1},
+    )
+
+
 _GROUPS: Final[Mapping[str, Callable[[_Work], _Tally]]] = {
     "gospa": _gospa,
     "ospa": _ospa,
@@ -270,6 +318,9 @@ _GROUPS: Final[Mapping[str, Callable[[_Work], _Tally]]] = {
     "objects": _objects,
     "occlusion": _occlusion,
     "consistency": _consistency,
+    "existence": _existence,
+    "tgospa": _tgospa,
+    "siap": _siap,
 }
 _FOLLOW_OBJECTS: Final = ("objects", "occlusion")
 """Groups that follow objects in and out of sight, and so are the same for either scope."""

@@ -19,7 +19,7 @@ from pmbm.labels import Label
 
 FloatArray = NDArray[np.float64]
 Counts = Mapping[str, Any]
-"""Numbers or arrays that add up, and `Samples`, which join, over recordings."""
+"""Numbers or arrays that add up over recordings, and `Samples` and `Joined`, which join."""
 Scope = Literal["all", "observable"]
 Direction = Literal["higher", "lower", "none"]
 
@@ -47,6 +47,18 @@ class Samples:
     __radd__ = __add__
 
 
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """Whole runs, for scores whose thresholds depend on all of them; over recordings joined."""
+
+    items: tuple[Any, ...]
+
+    def __add__(self, other: Joined | int) -> Joined:
+        return self if isinstance(other, int) else Joined(self.items + other.items)
+
+    __radd__ = __add__
+
+
 @dataclass(frozen=True, kw_only=True)
 class Definition:
     """What a name stands for.
@@ -55,9 +67,10 @@ class Definition:
     unit, direction : of the value; which way is better.
     answers : the question it answers, in a few words.
     group : metrics of one group are counted together.
-    formula : counts -> value.
-    parts : counts -> further numbers worth showing beside the value.
+    formula : counts (and the parameters, by name) -> value.
+    parts : the same -> further numbers worth showing beside the value.
     series : name of the group's per-frame series, or None.
+    default : whether `evaluate` gives it unasked.
     """
 
     name: str
@@ -69,6 +82,7 @@ class Definition:
     variant: str = "standard"
     parts: Callable[[Counts], Mapping[str, float]] | None = None
     series: str | None = None
+    default: bool = True
 
     def value(
         self,
@@ -79,7 +93,8 @@ class Definition:
         series: FloatArray | None = None,
     ) -> MetricValue:
         """The metric's value for these counts."""
-        outcome = self.formula(counts)
+        known = {**parameters, **counts}
+        outcome = self.formula(known)
         undefined = isinstance(outcome, Undefined)
         return MetricValue(
             name=self.name + (OBSERVABLE if scope == "observable" else ""),
@@ -90,7 +105,7 @@ class Definition:
             direction=self.direction,
             scope=scope,
             parameters=parameters,
-            components={} if undefined or self.parts is None else self.parts(counts),
+            components={} if undefined or self.parts is None else self.parts(known),
             series=series,
             counts=counts,
             definition=self,
@@ -142,9 +157,10 @@ class MetricValue:
 
 
 def _restored(values: dict[str, Any], name: str, variant: str) -> MetricValue:
-    from pmbm.metrics.catalogue import definition
+    # The formulas do not pickle; the tables that hold them import this module.
+    from pmbm.metrics.benchmarks import any_definition
 
-    return MetricValue(**values, definition=definition(name, variant))
+    return MetricValue(**values, definition=any_definition(name, variant))
 
 
 @dataclass(frozen=True, eq=False)

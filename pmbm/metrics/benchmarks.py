@@ -1,0 +1,371 @@
+"""The benchmarks' own scores as `Evaluation`s: Argoverse 1, Waymo, KITTI, nuScenes, TrackEval.
+
+Each function takes the runs of one class and gives the benchmark's numbers by its own rule, quirks
+included, under its variant's name; evaluations of several parts of a dataset are combined like any
+others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmbm.errors import InputError
+from pmbm.metrics import catalogue
+from pmbm.metrics.argoverse1 import argoverse1_counts
+from pmbm.metrics.catalogue import ratio, total
+from pmbm.metrics.hota import HotaCounts, distance_similarity
+from pmbm.metrics.identity import IdentityCounts
+from pmbm.metrics.kitti import (
+    KittiAverages,
+    KittiCounts,
+    KittiScene,
+    kitti_averages,
+    kitti_counts,
+    kitti_scores,
+    sum_counts,
+)
+from pmbm.metrics.nuscenes import NuscenesScores, nuscenes_scores
+from pmbm.metrics.result import Counts, Definition, Direction, Evaluation, Joined, Undefined
+from pmbm.metrics.scene import Scene, pair_overlap
+from pmbm.metrics.trackeval import TrackEvalCounts, trackeval_counts, trackeval_scores
+from pmbm.metrics.waymo import WaymoCounts, WaymoScene, waymo_counts, waymo_scores
+
+FloatArray = NDArray[np.float64]
+
+_NO_TRUTH: Final = "no truth"
+_NO_MATCH: Final = "nothing is matched"
+
+
+def evaluate_argoverse1(
+    logs: Sequence[Scene], *, nearest: float = 0.0, farthest: float = 100.0
+) -> Evaluation:
+    """Argoverse 1 over logs of one class, positions relative to the vehicle, m.
+
+    nearest, farthest : only boxes strictly between these distances take part, m.
+    """
+    sums: dict[str, float] = {}
+    for log in logs:
+        counts = argoverse1_counts(log, nearest=nearest, farthest=farthest)
+        own = {
+            **asdict(counts.clear),
+            "frames": counts.frames,
+            "id_true_positives": counts.identity.true_positives,
+            "orientation_sum": counts.orientation_sum,
+            "size_sum": counts.size_sum,
+        }
+        sums = {key: sums.get(key, 0) + value for key, value in own.items()}
+    parameters = {"gate": 2.0, "distance": "xyz", "nearest": nearest, "farthest": farthest}
+    return _evaluation(_ARGOVERSE1, sums, parameters, len(logs))
+
+
+def evaluate_waymo(
+    sequences: Sequence[WaymoScene], least_overlap: float, *, level: int = 2
+) -> Evaluation:
+    """Waymo over sequences of one object type (and range) at one level of difficulty.
+
+    least_overlap : 3D IoU, 0.7 for vehicles, 0.5 for the others.  level : 1 or 2.
+    """
+    if level not in (1, 2):
+        raise InputError("bad level of difficulty", field="level", expected="1 or 2", got=level)
+    sums: dict[str, Any] = {}
+    for sequence in sequences:
+        own = vars(waymo_counts(sequence, least_overlap)[level])
+        sums = {key: sums.get(key, 0) + value for key, value in own.items()}
+    return _evaluation(
+        _WAYMO, sums, {"least_overlap": least_overlap, "level": level}, len(sequences)
+    )
+
+
+def evaluate_kitti(sequences: Sequence[KittiScene], least_overlap: float) -> Evaluation:
+    """KITTI over sequences of one class.
+
+    least_overlap : of the overlap each `KittiScene` carries.
+    """
+    counts = asdict(sum_counts(kitti_counts(one, least_overlap) for one in sequences))
+    counts["sequences"] = Joined(tuple(sequences))
+    return _evaluation(_KITTI, counts, {"least_overlap": least_overlap}, len(sequences))
+
+
+def evaluate_nuscenes(scenes: Sequence[Scene], *, gate: float = 2.0) -> Evaluation:
+    """nuScenes over scenes of one class; `gate` : centres strictly nearer in (x, y) match, m."""
+    return _evaluation(_NUSCENES, {"scenes": Joined(tuple(scenes))}, {"gate": gate}, len(scenes))
+
+
+def evaluate_trackeval(
+    sequences: Sequence[Scene], similarity: str = "distance", *, threshold: float = 0.5
+) -> Evaluation:
+    """TrackEval over sequences of one class.
+
+    similarity : "distance" is max(0, 1 - d / 4 m) of centres in (x, y, z), "iou3d" and "ioubev"
+        the overlap of rotated boxes.  threshold : least similarity of CLEAR MOT and IDF1.
+    """
+    if similarity not in SIMILARITIES:
+        raise InputError(
+            f"no similarity '{similarity}'", field="similarity", expected=", ".join(SIMILARITIES)
+        )
+    sums: dict[str, Any] = {}
+    for sequence in sequences:
+        counts = trackeval_counts(sequence, SIMILARITIES[similarity](sequence), threshold)
+        own = {
+            **{
+                key: value for key, value in vars(counts).items() if key not in ("identity", "hota")
+            },
+            **{f"identity.{key}": value for key, value in vars(counts.identity).items()},
+            **{f"hota.{key}": value for key, value in vars(counts.hota).items()},
+            "sequences": 1,
+        }
+        sums = {key: sums.get(key, 0) + value for key, value in own.items()}
+    return _evaluation(
+        _TRACKEVAL, sums, {"similarity": similarity, "threshold": threshold}, len(sequences)
+    )
+
+
+SIMILARITIES: Final[Mapping[str, Callable[[Scene], FloatArray]]] = {
+    "distance": lambda scene: distance_similarity(scene.pairs.distance_xyz, 4.0),
+    "iou3d": pair_overlap,
+    "ioubev": lambda scene: pair_overlap(scene, vertical=False),
+}
+
+
+def any_definition(name: str, variant: str) -> Definition:
+    """The definition behind a name of any variant."""
+    if variant in _VARIANTS:
+        return _VARIANTS[variant][name]
+    return catalogue.definition(name)
+
+
+def _evaluation(
+    definitions: Mapping[str, Definition],
+    counts: Counts,
+    parameters: Mapping[str, Any],
+    recordings: int,
+) -> Evaluation:
+    if not recordings:
+        raise InputError("nothing to evaluate", expected="at least one run")
+    return Evaluation(
+        tuple(entry.value(counts, parameters=parameters) for entry in definitions.values()),
+        recordings=recordings,
+    )
+
+
+def _table(
+    variant: str, rows: Iterable[tuple[str, str, Direction, str, Callable[[Counts], Any]]]
+) -> dict[str, Definition]:
+    return {
+        name: Definition(
+            name=name,
+            variant=variant,
+            group=variant,
+            unit=unit,
+            direction=direction,
+            answers=answers,
+            formula=formula,
+        )
+        for name, unit, direction, answers, formula in rows
+    }
+
+
+def _or_undefined(value: float | None, reason: str) -> float | Undefined:
+    return Undefined(reason) if value is None else float(value)
+
+
+_ARGOVERSE1: Final = _table(
+    "argoverse1",
+    [
+        ("mota", "1", "higher", "CLEAR MOT accuracy", catalogue.mota),
+        ("motp_c", "m", "lower", "centre error", ratio("distance_sum", "matches", _NO_MATCH)),
+        ("motp_o", "deg", "lower", "yaw error", ratio("orientation_sum", "matches", _NO_MATCH)),
+        ("motp_i", "1", "lower", "size error", ratio("size_sum", "matches", _NO_MATCH)),
+        ("false_positives", "boxes", "lower", "boxes of nothing", total("false_positives")),
+        ("misses", "boxes", "lower", "objects not found", total("misses")),
+        ("id_switches", "events", "lower", "changes of identity", total("switches")),
+        ("fragmentations", "events", "lower", "interruptions", total("fragmentations")),
+        (
+            "idf1",
+            "1",
+            "higher",
+            "agreement of identities",
+            lambda counts: (
+                2 * counts["id_true_positives"] / (counts["truths"] + counts["tracks"])
+                if counts["truths"] + counts["tracks"]
+                else Undefined("no truth and no tracks")
+            ),
+        ),
+        (
+            "mostly_tracked",
+            "1",
+            "higher",
+            "objects tracked in 80 % of frames or more",
+            ratio("mostly_tracked", "objects", _NO_TRUTH),
+        ),
+        (
+            "mostly_lost",
+            "1",
+            "lower",
+            "objects tracked in less than 20 % of frames",
+            ratio("mostly_lost", "objects", _NO_TRUTH),
+        ),
+    ],
+)
+
+
+def _waymo(field: str) -> Callable[[Counts], float | Undefined]:
+    names = WaymoCounts.__dataclass_fields__
+
+    def formula(counts: Counts) -> float | Undefined:
+        if not counts["truths"].any():
+            return Undefined(_NO_TRUTH)
+        scores = waymo_scores(WaymoCounts(**{name: counts[name] for name in names}))
+        value = getattr(scores, field)
+        return _or_undefined(value, "no score cutoff has a MOTA above 0")
+
+    return formula
+
+
+_WAYMO: Final = _table(
+    "waymo",
+    [
+        ("mota", "1", "higher", "CLEAR MOT accuracy at the best score cutoff", _waymo("mota")),
+        ("motp", "1", "lower", "mean 1 - IoU of matches", _waymo("motp")),
+        ("misses", "1", "lower", "objects not found, per object", _waymo("misses")),
+        ("mismatches", "1", "lower", "changes of identity, per object", _waymo("mismatches")),
+        ("false_positives", "1", "lower", "false boxes, per object", _waymo("false_positives")),
+        ("score_cutoff", "1", "none", "the best score cutoff", _waymo("cutoff")),
+    ],
+)
+
+
+def _kitti(name: str) -> Callable[[Counts], float | Undefined]:
+    def formula(counts: Counts) -> float | Undefined:
+        own = KittiCounts(**{key: counts[key] for key in KittiCounts.__dataclass_fields__})
+        return _or_undefined(kitti_scores(own)[name], _NO_TRUTH)
+
+    return formula
+
+
+def _kitti_average(name: str) -> Callable[[Counts], float | Undefined]:
+    def formula(counts: Counts) -> float | Undefined:
+        averages = _averages(counts["sequences"], counts["least_overlap"])
+        return Undefined(_NO_TRUTH) if averages is None else float(getattr(averages, name))
+
+    return formula
+
+
+@lru_cache(maxsize=1)
+def _averages(sequences: Joined, least_overlap: float) -> KittiAverages | None:
+    return kitti_averages(sequences.items, least_overlap)
+
+
+_KITTI: Final = _table(
+    "kitti",
+    [
+        ("mota", "1", "higher", "CLEAR MOT accuracy", _kitti("MOTA")),
+        ("motp", "1", "higher", "mean overlap of matches", _kitti("MOTP")),
+        ("moda", "1", "higher", "accuracy without identities", _kitti("MODA")),
+        ("motal", "1", "higher", "accuracy with log of switches", _kitti("MOTAL")),
+        ("id_switches", "events", "lower", "changes of identity", total("switches")),
+        ("fragmentations", "events", "lower", "interruptions", total("fragmentations")),
+        ("false_positives", "boxes", "lower", "boxes of nothing", total("false_positives")),
+        ("misses", "boxes", "lower", "objects not found", total("misses")),
+        ("recall", "1", "higher", "share of objects found", _kitti("recall")),
+        ("precision", "1", "higher", "share of boxes that are real", _kitti("precision")),
+        ("mostly_tracked", "1", "higher", "objects tracked in more than 80 %", _kitti("MT")),
+        ("mostly_lost", "1", "lower", "objects tracked in less than 20 %", _kitti("ML")),
+        ("samota", "1", "higher", "scaled accuracy over recall", _kitti_average("samota")),
+        ("amota", "1", "higher", "accuracy over recall", _kitti_average("amota")),
+        ("amotp", "1", "higher", "overlap over recall", _kitti_average("amotp")),
+    ],
+)
+
+
+def _nuscenes(name: str) -> Callable[[Counts], float | Undefined]:
+    def formula(counts: Counts) -> float | Undefined:
+        scores = _nuscenes_scores(counts["scenes"], counts["gate"])
+        if scores is None:
+            return Undefined(_NO_TRUTH)
+        value = scores.at_best[name] if name in scores.at_best else getattr(scores, name)
+        return _or_undefined(value, "no recall level is reached")
+
+    return formula
+
+
+@lru_cache(maxsize=1)
+def _nuscenes_scores(scenes: Joined, gate: float) -> NuscenesScores | None:
+    return nuscenes_scores(scenes.items, gate)
+
+
+_NUSCENES: Final = _table(
+    "nuscenes",
+    [
+        ("amota", "1", "higher", "MOTAR over recall", _nuscenes("amota")),
+        ("amotp", "m", "lower", "centre error over recall", _nuscenes("amotp")),
+        ("motar", "1", "higher", "accuracy at the reached recall", _nuscenes("motar")),
+        ("mota", "1", "higher", "CLEAR MOT accuracy, cut at 0", _nuscenes("mota")),
+        ("motp", "m", "lower", "centre error", _nuscenes("motp")),
+        ("recall", "1", "higher", "share of objects found", _nuscenes("recall")),
+        ("false_positives", "boxes", "lower", "boxes of nothing", _nuscenes("fp")),
+        ("misses", "boxes", "lower", "objects not found", _nuscenes("fn")),
+        ("id_switches", "events", "lower", "changes of identity", _nuscenes("ids")),
+        ("fragmentations", "events", "lower", "interruptions", _nuscenes("frag")),
+        ("faf", "1", "lower", "false boxes per 100 frames", _nuscenes("faf")),
+        ("tid", "s", "lower", "time to the first match", _nuscenes("tid")),
+        ("lgd", "s", "lower", "longest gap", _nuscenes("lgd")),
+    ],
+)
+
+
+def _trackeval(name: str) -> Callable[[Counts], float]:
+    def formula(counts: Counts) -> float:
+        clear = {
+            key: counts[key]
+            for key in TrackEvalCounts.__dataclass_fields__
+            if key not in ("identity", "hota", "one_sided")
+        }
+        own = TrackEvalCounts(
+            **clear,
+            one_sided=counts["one_sided"] == counts["sequences"],
+            identity=IdentityCounts(**_prefixed(counts, "identity.")),
+            hota=HotaCounts(**_prefixed(counts, "hota.")),
+        )
+        return float(trackeval_scores(own)[name])
+
+    return formula
+
+
+def _prefixed(counts: Counts, prefix: str) -> dict[str, Any]:
+    return {
+        key.removeprefix(prefix): value for key, value in counts.items() if key.startswith(prefix)
+    }
+
+
+_TRACKEVAL: Final = _table(
+    "trackeval",
+    [
+        ("hota", "1", "higher", "detection and association", _trackeval("HOTA_mean")),
+        ("deta", "1", "higher", "detection", _trackeval("DetA_mean")),
+        ("assa", "1", "higher", "association", _trackeval("AssA_mean")),
+        ("loca", "1", "higher", "similarity of matches", _trackeval("LocA_mean")),
+        ("mota", "1", "higher", "CLEAR MOT accuracy", _trackeval("MOTA")),
+        ("motp", "1", "higher", "similarity of matches", _trackeval("MOTP")),
+        ("moda", "1", "higher", "accuracy without identities", _trackeval("MODA")),
+        ("id_switches", "events", "lower", "changes of identity", _trackeval("IDSW")),
+        ("fragmentations", "events", "lower", "restarts", _trackeval("Frag")),
+        ("false_positives", "boxes", "lower", "boxes of nothing", _trackeval("CLR_FP")),
+        ("misses", "boxes", "lower", "objects not found", _trackeval("CLR_FN")),
+        ("idf1", "1", "higher", "agreement of identities", _trackeval("IDF1")),
+    ],
+)
+
+_VARIANTS: Final = {
+    "argoverse1": _ARGOVERSE1,
+    "waymo": _WAYMO,
+    "kitti": _KITTI,
+    "nuscenes": _NUSCENES,
+    "trackeval": _TRACKEVAL,
+}
