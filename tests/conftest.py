@@ -1,5 +1,8 @@
 """Settings that every test shares; helpers live beside the tests that use them."""
 
+import json
+from pathlib import Path
+
 import pytest
 from hypothesis import settings
 
@@ -22,3 +25,52 @@ def assignment_kernel(request):
     assignment._kernel = kernel
     yield request.param
     assignment._kernel = chosen
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--verification", metavar="FILE", help="Write the rows of the `verified` fixture as JSON."
+    )
+
+
+@pytest.fixture
+def verified(request):
+    """`verified(id, what, figure, bound, verdict)` adds a row to the record of `make verify`.
+
+    verdict : "pass", "fail", or "report" for what is measured but not promised; or a bool.
+    """
+
+    def add(id, what, figure, bound=None, verdict="report"):
+        if isinstance(verdict, bool):
+            verdict = "pass" if verdict else "fail"
+        row = {"id": id, "what": what, "figure": figure, "bound": bound, "verdict": verdict}
+        request.node.user_properties.append(("verified", row))
+        print(f"{id}: {what}: {figure} (bound {bound}): {verdict}")
+
+    return add
+
+
+class _Verification:
+    """Gathers the rows, from worker processes too, and writes them in order of their ids."""
+
+    def __init__(self, file):
+        self.file = Path(file)
+        self.rows = []
+
+    def pytest_runtest_logreport(self, report):
+        if report.when == "teardown":
+            self.rows += [row for name, row in report.user_properties if name == "verified"]
+
+    def pytest_sessionfinish(self, session):
+        from pmbm.provenance import provenance
+
+        self.rows.sort(key=lambda row: (row["id"], row["what"]))
+        record = {"provenance": provenance(), "rows": self.rows}
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        self.file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def pytest_configure(config):
+    file = config.getoption("--verification")
+    if file and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(_Verification(file))
