@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from pmbm.datasets.frames import Comparison
 from pmbm.datasets.origins import with_origins
 from pmbm.errors import InputError, nearest_hint
 from pmbm.types import Recording, TrackSequence
@@ -42,6 +43,9 @@ class Dataset(Protocol):
 
     def read(self, sequence: str, folder: Path) -> TrackSequence:
         """What `write` wrote, in the world."""
+
+    def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
+        """Truth and a result of one class, as the dataset's own rules compare them."""
 
 
 def open_dataset(name: str, **options: Any) -> Dataset:

@@ -159,6 +159,23 @@ def recording(
     )
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Comparison:
+    """One sequence and class as the dataset's own rules compare them, frame by frame, in whatever
+    frame its boxes are given; rows of a frame in order of id.
+
+    truth, tracks : F frames each; truth that does not count is not observable.
+    excused (K,) : over all tracks in order; where unmatched, not false.
+    truth_image (N,4), tracks_image (K,4) : left, top, right, bottom in the image, pixels, or None.
+    """
+
+    truth: tuple[GroundTruth, ...]
+    tracks: tuple[Tracks, ...]
+    excused: BoolArray
+    truth_image: FloatArray | None = None
+    tracks_image: FloatArray | None = None
+
+
 def track_frames(
     times: FloatArray,
     poses: Sequence[Pose],

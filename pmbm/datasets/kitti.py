@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from pmbm.datasets.files import Place, prepare_folder, replace_text
 from pmbm.datasets.frames import (
+    Comparison,
     SourceBoxes,
     box_corners,
     merge,
@@ -19,6 +20,7 @@ from pmbm.datasets.frames import (
     nothing,
     recording,
     track_frames,
+    truth_frames,
 )
 from pmbm.datasets.kitti_files import (
     Calibration,
@@ -35,7 +37,16 @@ from pmbm.datasets.kitti_files import (
 from pmbm.datasets.poses import STANDING, Pose
 from pmbm.errors import InputError, nearest_hint
 from pmbm.geometry import wrap_angle
-from pmbm.types import FloatArray, IntArray, Label, Recording, Site, Tracks, TrackSequence
+from pmbm.types import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Label,
+    Recording,
+    Site,
+    Tracks,
+    TrackSequence,
+)
 
 PERIOD: Final = 0.1
 """Seconds between frames."""
@@ -66,6 +77,7 @@ _TYPES: Final[Mapping[Label, str]] = {
 }
 _VISIBILITY: Final[Mapping[int, float]] = {-1: 1.0, 0: 1.0, 1: 0.75, 2: 0.25, 3: 0.0}
 """The middle of what each occlusion level stands for; 3 is unknown, and not scored."""
+_SMALLEST_PIXELS: Final = 25.0
 _MAX_RANGE: Final = 80.0
 _CONFIDENCE: Final[Mapping[str, tuple[float, float]]] = {
     "Car": (1.0, 0.0),
@@ -138,13 +150,17 @@ class Kitti:
         frames = self._frames(sequence, poses, tables)
         if poses is None:
             poses = (STANDING,) * frames
-        kinds = {} if labels is None else dict(zip(labels.id.tolist(), labels.type, strict=True))
+        truths, kinds = [nothing()] * frames, {}
+        if labels is not None:
+            labels, counted = self._scored(labels)
+            truths = _truth(labels, frames, counted)
+            kinds = dict(zip(labels.id.tolist(), labels.type, strict=True))
         return recording(
             name=f"kitti-{sequence}",
             stamp=range(frames),
             times=_times(frames),
             poses=poses,
-            truth=[nothing()] * frames if labels is None else self._truth(labels, frames),
+            truth=truths,
             detections=_merged([_detected(objects, frames) for objects in seen], frames),
             site=Site(fov_half_angle=calibration.half_field_of_view, max_range=_MAX_RANGE),
             provenance={
@@ -194,17 +210,7 @@ class Kitti:
             score = _logistic(score)
         boxes = []
         for rows in _by_frame(results, frames):
-            part = _boxes(results, rows)
-            boxes.append(
-                SourceBoxes(
-                    position=part.position,
-                    size=part.size,
-                    yaw=part.yaw,
-                    label=part.label,
-                    name=[str(value) for value in results.id[rows]],
-                    score=score[rows],
-                )
-            )
+            boxes.append(replace(_boxes(results, rows), score=score[rows]))
         return track_frames(
             _times(frames),
             (STANDING,) * frames if poses is None else poses,
@@ -213,12 +219,48 @@ class Kitti:
         )
 
     def objects(self, sequence: str) -> KittiObjects:
-        """The labels in the dataset's own terms, for its own rules."""
+        """The labels in the dataset's own terms."""
         return self._labels(sequence)
 
     def results(self, sequence: str, folder: Path) -> KittiObjects:
-        """A result file in the dataset's own terms, for its own rules."""
+        """A result file in the dataset's own terms."""
         return read_objects(Path(folder) / f"{_checked(sequence)}.txt", scored=True)
+
+    def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
+        """Labels and results of one class in the camera's frame, by the benchmark's rules: truth of
+        neighbouring classes, truncated, or occluded beyond judgement is not observable; results no
+        higher than 25 pixels, or more than half inside a DontCare region, are excused.
+
+        Raises InputError where either file is missing or bad: a frame without results counts as
+        empty, a sequence without them is refused.
+        """
+        labels, results = self._labels(sequence), self.results(sequence, folder)
+        results = results.take([i for i, name in enumerate(results.type) if name == kind])
+        frames = max(labels.length, results.length)
+        truth_rows = [i for i, name in enumerate(labels.type) if name in (kind, *NEIGHBOURS[kind])]
+        truth = labels.take(truth_rows).by_id()
+        results = results.by_id()
+        counted = np.array([name == kind for name in truth.type], dtype=bool)
+        standing = (STANDING,) * frames
+        return Comparison(
+            truth=truth_frames(
+                _times(frames),
+                standing,
+                _truth(truth, frames, counted),
+                ids=[truth.id[rows] for rows in _by_frame(truth, frames)],
+            )[0],
+            tracks=tuple(
+                track_frames(
+                    _times(frames),
+                    standing,
+                    [_boxes(results, rows) for rows in _by_frame(results, frames)],
+                    ids=[results.id[rows] for rows in _by_frame(results, frames)],
+                )
+            ),
+            excused=_excused(results, labels),
+            truth_image=truth.box,
+            tracks_image=results.box,
+        )
 
     def _places(self, sequence: str) -> tuple[Calibration, tuple[Pose, ...] | None]:
         calibration = read_calibration(self.root / "calib" / f"{_checked(sequence)}.txt")
@@ -260,26 +302,37 @@ class Kitti:
             )
         return len(poses)
 
-    def _truth(self, labels: KittiObjects, frames: int) -> list[SourceBoxes]:
-        wanted = dict.fromkeys(self.classes, True)
-        wanted |= {kind: False for name in self.classes for kind in NEIGHBOURS[name]}
-        truth = []
-        for rows in _by_frame(labels, frames):
-            rows = np.array([i for i in rows if labels.type[i] in wanted], dtype=np.int64)
-            own = np.array([wanted[labels.type[i]] for i in rows], dtype=bool)
-            part = _boxes(labels, rows)
-            truth.append(
-                SourceBoxes(
-                    position=part.position,
-                    size=part.size,
-                    yaw=part.yaw,
-                    label=part.label,
-                    name=[str(value) for value in labels.id[rows]],
-                    visibility=np.array([_VISIBILITY[i] for i in labels.occluded[rows].tolist()]),
-                    observable=own & (labels.occluded[rows] <= 2) & (labels.truncated[rows] <= 0),
-                )
-            )
-        return truth
+    def _scored(self, labels: KittiObjects) -> tuple[KittiObjects, BoolArray]:
+        """The rows of the classes asked for and their neighbours, and which are the former."""
+        near = {kind for name in self.classes for kind in NEIGHBOURS[name]}
+        kept = labels.take([i for i, k in enumerate(labels.type) if k in (*self.classes, *near)])
+        return kept, np.array([kind in self.classes for kind in kept.type], dtype=bool)
+
+
+def _truth(labels: KittiObjects, frames: int, counted: BoolArray) -> list[SourceBoxes]:
+    observable = counted & (labels.occluded <= 2) & (labels.truncated <= 0)
+    return [
+        replace(
+            _boxes(labels, rows),
+            name=[str(value) for value in labels.id[rows]],
+            visibility=np.array([_VISIBILITY[i] for i in labels.occluded[rows].tolist()]),
+            observable=observable[rows],
+        )
+        for rows in _by_frame(labels, frames)
+    ]
+
+
+def _excused(results: KittiObjects, labels: KittiObjects) -> BoolArray:
+    left, top, right, bottom = results.box.T
+    small = bottom - top <= _SMALLEST_PIXELS
+    inside = np.zeros(len(results), dtype=bool)
+    area = np.maximum((right - left) * (bottom - top), np.finfo(float).tiny)
+    for frame, region in zip(labels.dont_care_frame, labels.dont_care_box, strict=True):
+        width = np.minimum(right, region[2]) - np.maximum(left, region[0])
+        height = np.minimum(bottom, region[3]) - np.maximum(top, region[1])
+        shared = np.clip(width, 0, None) * np.clip(height, 0, None) / area
+        inside |= (results.frame == frame) & (shared > 0.5)
+    return small | inside
 
 
 def _checked(sequence: str) -> str:
@@ -319,20 +372,10 @@ def _detected(objects: KittiObjects, frames: int) -> list[SourceBoxes]:
     assert objects.score is not None
     confidence = np.array([_CONFIDENCE[kind] for kind in objects.type]).reshape(-1, 2)
     score = _logistic(confidence[:, 0] * objects.score + confidence[:, 1])
-    found = []
-    for rows in _by_frame(objects, frames):
-        part = _boxes(objects, rows)
-        found.append(
-            SourceBoxes(
-                position=part.position,
-                size=part.size,
-                yaw=part.yaw,
-                label=part.label,
-                score=score[rows],
-                raw_score=objects.score[rows],
-            )
-        )
-    return found
+    return [
+        replace(_boxes(objects, rows), score=score[rows], raw_score=objects.score[rows])
+        for rows in _by_frame(objects, frames)
+    ]
 
 
 def _merged(parts: Sequence[Sequence[SourceBoxes]], frames: int) -> list[SourceBoxes]:

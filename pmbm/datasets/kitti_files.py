@@ -104,6 +104,10 @@ class KittiObjects:
             **{name: getattr(self, name)[index] for name in _PER_ROW},
         )
 
+    def by_id(self) -> KittiObjects:
+        """The rows in order of frame, then id."""
+        return self.take(np.lexsort((self.id, self.frame)).tolist())
+
     @property
     def length(self) -> int:
         """Frames up to the last one that is named."""

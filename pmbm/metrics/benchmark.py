@@ -1,34 +1,23 @@
-"""Scores over a similarity of boxes, with what a benchmark does not want counted taken out first.
+"""CLEAR, identity and HOTA of a whole benchmark, with what it does not want counted taken out.
 
-The taking out is TrackEval's (Luiten, Hoffhues 2020) and the KITTI devkit's; the counts are the
-standard CLEAR, identity and HOTA ones.
+Matching and taking out are TrackEval's (Luiten, Hoffhues 2020), as for KITTI; unlike there, the
+counts of all sequences are added with no exception for those in which one side is empty.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmbm.metrics.clear import ClearCounts, clear_counts, continuing_matches
-from pmbm.metrics.hota import HotaCounts, hota_counts
-from pmbm.metrics.identity import IdentityCounts, identity_counts
+from pmbm.metrics.hota import HotaCounts
 from pmbm.metrics.matching import best_matching
 from pmbm.metrics.scene import Scene
+from pmbm.metrics.trackeval import TrackEvalCounts
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class BenchmarkCounts:
-    """One sequence of one class."""
-
-    clear: ClearCounts
-    identity: IdentityCounts
-    hota: HotaCounts
 
 
 def kept_rows(
@@ -53,49 +42,37 @@ def kept_rows(
     return scene.truth.observable, ~dropped
 
 
-def benchmark_counts(scene: Scene, similarity: FloatArray, least: float) -> BenchmarkCounts:
-    """Count one sequence: CLEAR and identity with a gate of `least` similarity, HOTA over all.
-
-    similarity (Q,) : of the scene's pairs, in [0, 1].
-    """
-    near = np.flatnonzero(similarity >= least)
-    return BenchmarkCounts(
-        clear=clear_counts(scene, continuing_matches(scene, near, 1.0 - similarity)),
-        identity=identity_counts(scene, near),
-        hota=hota_counts(scene, similarity),
-    )
-
-
-def benchmark_scores(sequences: Iterable[BenchmarkCounts]) -> dict[str, float | None]:
+def benchmark_scores(sequences: Sequence[TrackEvalCounts]) -> dict[str, float | None]:
     """Several sequences together: counts are added, then ratios taken; a ratio without a
     denominator is None.
 
     Keys: MOTA, MOTP (mean similarity of matches), FP, FN, IDS, FRAG, IDF1, HOTA, DetA, AssA, GT.
     """
-    counts = list(sequences)
-    clear = [one.clear for one in counts]
-    truths = sum(one.truths for one in clear)
-    matches = sum(one.matches for one in clear)
-    events = {
-        "FP": sum(one.false_positives for one in clear),
-        "FN": sum(one.misses for one in clear),
-        "IDS": sum(one.switches for one in clear),
+    matches = sum(one.matches for one in sequences)
+    truths = matches + sum(one.misses for one in sequences)
+    events: dict[str, float | None] = {
+        "FP": sum(one.false_positives for one in sequences),
+        "FN": sum(one.misses for one in sequences),
+        "IDS": sum(one.switches for one in sequences),
     }
-    identity = sum(one.identity.true_positives for one in counts)
-    rows = 2 * identity + sum(o.identity.misses + o.identity.false_positives for o in counts)
-    distance = sum(one.distance_sum for one in clear)
+    wrong = sum(one.false_positives + one.misses + one.switches for one in sequences)
+    identified = sum(one.identity.true_positives for one in sequences)
+    rows = 2 * identified + sum(
+        one.identity.misses + one.identity.false_positives for one in sequences
+    )
+    similarity = sum(one.similarity_sum for one in sequences)
     return {
-        "MOTA": 1 - sum(events.values()) / truths if truths else None,
-        "MOTP": 1 - distance / matches if matches else None,
+        "MOTA": 1 - wrong / truths if truths else None,
+        "MOTP": similarity / matches if matches else None,
         **events,
-        "FRAG": sum(one.fragmentations for one in clear),
-        "IDF1": 2 * identity / rows if rows else None,
-        **_hota([one.hota for one in counts]),
+        "FRAG": sum(one.fragmentations for one in sequences),
+        "IDF1": 2 * identified / rows if rows else None,
+        **_hota([one.hota for one in sequences]),
         "GT": truths,
     }
 
 
-def _hota(counts: list[HotaCounts]) -> dict[str, float | None]:
+def _hota(counts: Sequence[HotaCounts]) -> dict[str, float | None]:
     """Means over the thresholds."""
     found = sum((one.true_positives for one in counts), start=np.zeros(1))
     wrong = sum((one.misses + one.false_positives for one in counts), start=np.zeros(1))

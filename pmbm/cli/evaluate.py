@@ -1,0 +1,107 @@
+"""`pmbm evaluate`: any tracker's output, by the rules of the dataset it was made on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pmbm.cli.many import ManyValues
+from pmbm.cli.track import FOLDER
+
+if TYPE_CHECKING:
+    from pmbm.cli.dataset_scores import Scores
+
+
+@click.command(cls=ManyValues)
+@click.argument("dataset_name", metavar="DATASET")
+@click.option("--root", type=FOLDER, required=True, help="The dataset's folder, with its truth.")
+@click.option("--results", type=FOLDER, required=True, help="What a tracker wrote.")
+@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
+@click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")
+@click.option(
+    "--rule",
+    metavar="NAME",
+    help="One of the dataset's own, for kitti iou3d, bev or iou2d.  [default: its first]",
+)
+@click.option("--each", is_flag=True, help="A row for every sequence, too.")
+@click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+def command(
+    dataset_name: str,
+    root: Path,
+    results: Path,
+    classes: tuple[str, ...],
+    sequences: tuple[str, ...],
+    rule: str | None,
+    each: bool,
+    json_file: str | None,
+    jobs: int,
+) -> None:
+    """Score RESULTS on DATASET by that dataset's own rules, class by class.  A sequence without a
+    result is refused, never left out.
+
+    \b
+    Example:
+      pmbm evaluate kitti --root kitti --results results --classes Car --sequences 0006 0008
+    """
+    from pmbm.cli.dataset_scores import count_sequence, rule_of
+    from pmbm.cli.track import spread
+    from pmbm.datasets import open_dataset
+
+    dataset = open_dataset(dataset_name, root=root, classes=classes or None)
+    by = rule_of(dataset_name, rule)
+    names = list(dict.fromkeys(sequences)) or dataset.sequences()
+    pairs = [(kind, name) for kind in dataset.classes for name in names]
+    tasks = [(dataset_name, dataset, name, kind, results, rule) for kind, name in pairs]
+    counts = dict(zip(pairs, spread(count_sequence, tasks, jobs, "sequences"), strict=True))
+    table: dict[str, dict[str, Scores]] = {}
+    for kind in dataset.classes:
+        whole = by.scores([counts[kind, name] for name in names])
+        parts = {name: by.scores([counts[kind, name]]) for name in names} if each else {}
+        table[kind] = {"all": whole, **parts}
+    if json_file is not None:
+        _write_json(json_file, {"dataset": dataset_name, "rule": by.says, "scores": table})
+    if json_file != "-":
+        _show(f"{dataset_name}: {by.says}", table)
+
+
+def _write_json(file: str, figures: Mapping[str, object]) -> None:
+    from pmbm.datasets.files import replace_text
+
+    text = json.dumps(figures, indent=1, allow_nan=False)
+    if file == "-":
+        click.echo(text)
+    else:
+        replace_text(Path(file), text + "\n")
+
+
+def _show(title: str, table: Mapping[str, Mapping[str, Scores]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    columns = list(next(iter(next(iter(table.values())).values())))
+    shown = Table(title=title, title_justify="left")
+    shown.add_column("class", no_wrap=True)
+    shown.add_column("sequence", no_wrap=True)
+    for name in columns:
+        shown.add_column(name, justify="right", no_wrap=True)
+    for kind, rows in table.items():
+        for sequence, scores in rows.items():
+            shown.add_row(kind, sequence, *(_cell(scores[name]) for name in columns))
+        shown.add_section()
+    console = Console()
+    # A table that goes into a file or a pipe is not cut to the width of a screen.
+    (console if console.is_terminal else Console(width=_PIPE_WIDTH)).print(shown)
+
+
+_PIPE_WIDTH = 200
+
+
+def _cell(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return str(value) if isinstance(value, int) else f"{value:.4f}"

@@ -1,0 +1,161 @@
+"""`pmbm evaluate`: the KITTI rules by hand, and on the real files where they are."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmbm.cli import main
+
+SAMPLE = Path(__file__).parents[1] / "data" / "kitti"
+
+
+def pmbm(*arguments):
+    """The exit code."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    return stop.value.code
+
+
+def evaluate(capsys, root, results, *options):
+    code = pmbm("evaluate", "kitti", "--root", root, "--results", results, "--json", "-", *options)
+    assert code == 0
+    return json.loads(capsys.readouterr().out)["scores"]
+
+
+def row(frame, object_id, kind, x, *, score=None, truncated=0, occluded=0, box="0 0 50 50"):
+    """A unit cube at (x, 1, 20), with its image box."""
+    line = f"{frame} {object_id} {kind} {truncated} {occluded} 0 {box} 1 1 1 {x} 1 20 0"
+    return line if score is None else f"{line} {score}"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    shutil.copytree(SAMPLE / "training", tmp_path / "kitti")
+    (tmp_path / "results").mkdir()
+    return tmp_path
+
+
+def write(folder, truth, results):
+    (folder / "kitti" / "label_02" / "0000.txt").write_text("\n".join(truth))
+    (folder / "results" / "0000.txt").write_text("\n".join(results))
+    return folder / "kitti", folder / "results"
+
+
+def test_the_sample_is_tracked_nearly_perfectly(capsys):
+    scores = evaluate(capsys, SAMPLE / "training", SAMPLE / "tracks", "--classes", "Car")
+    assert scores["Car"]["all"]["MOTA"] == 1.0
+    assert scores["Car"]["all"]["GT"] == 3
+    assert 0.5 < scores["Car"]["all"]["HOTA"] < 1.0
+
+
+def test_counts_by_hand(folder, capsys):
+    """Two cars over four frames: one keeps its track but for a miss, the other changes it; and one
+    false box.  MOTA = 1 - (1 + 1 + 1) / 8."""
+    truth = [row(k, i, "Car", 10 * i) for k in range(4) for i in (0, 1)]
+    results = [row(k, 5, "Car", 0.1, score=1) for k in (0, 1, 3)]
+    results += [row(k, 6 + k // 2, "Car", 10, score=1) for k in range(4)]
+    results += [row(2, 9, "Car", -20, score=1)]
+    places = write(folder, truth, results)
+    scores = evaluate(capsys, *places, "--classes", "Car", "--each")["Car"]
+    assert scores["all"] == scores["0000"]
+    assert {key: scores["all"][key] for key in ("FP", "FN", "IDS", "GT")} == {
+        "FP": 1, "FN": 1, "IDS": 1, "GT": 8
+    }  # fmt: skip
+    np.testing.assert_allclose(scores["all"]["MOTA"], 1 - 3 / 8)
+    # IDTP: 3 of track 5, 2 of 6 or 7; rows 8 + 8.
+    np.testing.assert_allclose(scores["all"]["IDF1"], 2 * 5 / 16)
+    np.testing.assert_allclose(scores["all"]["MOTP"], (3 * 0.9 / 1.1 + 4) / 7)
+
+
+@pytest.mark.parametrize(
+    ("line", "counts"),
+    [
+        (row(0, 1, "Car", 0), (0, 0, 1)),
+        (row(0, 1, "Van", 0), (0, 0, 0)),
+        (row(0, 1, "Car", 0, occluded=2), (0, 0, 1)),
+        (row(0, 1, "Car", 0, occluded=3), (0, 0, 0)),
+        (row(0, 1, "Car", 0, truncated=1), (0, 0, 0)),
+        (row(0, 1, "Truck", 0), (1, 0, 0)),
+        (row(0, 1, "Van", 30), (1, 0, 0)),
+        ("0 -1 DontCare -1 -1 -10 0 0 40 40 -1 -1 -1 -1000 -1000 -1000 -10", (0, 0, 0)),
+        ("0 -1 DontCare -1 -1 -10 0 0 30 40 -1 -1 -1 -1000 -1000 -1000 -10", (1, 0, 0)),
+        ("1 -1 DontCare -1 -1 -10 0 0 50 50 -1 -1 -1 -1000 -1000 -1000 -10", (1, 0, 0)),
+    ],
+)
+def test_what_counts_neither_way(folder, capsys, line, counts):
+    """One box at (0, 1, 20), 50 x 50 pixels, against one truth: (FP, FN, GT)."""
+    places = write(folder, [line], [row(0, 7, "Car", 0, score=1)])
+    scores = evaluate(capsys, *places, "--classes", "Car")["Car"]["all"]
+    assert (scores["FP"], scores["FN"], scores["GT"]) == counts
+
+
+@pytest.mark.parametrize(("bottom", "false"), [(25, 0), (26, 1)])
+def test_boxes_of_25_pixels_are_excused(folder, capsys, bottom, false):
+    places = write(folder, [], [row(0, 7, "Car", 0, score=1, box=f"0 0 50 {bottom}")])
+    assert evaluate(capsys, *places, "--classes", "Car")["Car"]["all"]["FP"] == false
+
+
+def test_rules_differ_in_what_they_compare(folder, capsys):
+    """1.5 m apart, the same image box: another place by volume, the same from above and in the
+    image; a class without truth or tracks has no ratios."""
+    places = write(folder, [row(0, 1, "Car", 0)], [row(0, 7, "Car", 1.5, score=1)])
+    found = {
+        rule: evaluate(capsys, *places, "--rule", rule)["Car"]["all"]["FN"]
+        for rule in ("iou3d", "bev", "iou2d")
+    }
+    assert found == {"iou3d": 1, "bev": 0, "iou2d": 0}
+    assert evaluate(capsys, *places)["Cyclist"]["all"]["HOTA"] is None
+
+
+def test_two_metres_are_too_far(folder, capsys):
+    for away, missed in ((1.999, 0), (2.0, 1)):
+        places = write(folder, [row(0, 1, "Car", 0)], [row(0, 7, "Car", away, score=1)])
+        assert evaluate(capsys, *places, "--rule", "bev")["Car"]["all"]["FN"] == missed
+
+
+def test_fails_closed(folder, capsys):
+    root, results = write(folder, [row(0, 1, "Car", 0)], [row(0, 7, "Car", 0, score=1)])
+    options = ("evaluate", "kitti", "--root", root, "--results", results)
+    assert pmbm(*options, "--rule", "iou") == 2
+    assert "did you mean 'iou3d'" in capsys.readouterr().err
+    (results / "0000.txt").unlink()
+    assert pmbm(*options) == 2
+    assert "no such file" in capsys.readouterr().err
+
+
+def test_the_table(folder, capsys):
+    root, results = write(folder, [row(0, 1, "Car", 0)], [row(0, 7, "Car", 0, score=1)])
+    assert pmbm("evaluate", "kitti", "--root", root, "--results", results, "--each") == 0
+    text = capsys.readouterr().out
+    assert "3D IoU of at least .25" in text
+    assert any("Car" in line and "1.0000" in line for line in text.splitlines())
+    assert "0000" in text
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("PMBM_DATA" not in os.environ, reason="PMBM_DATA is unset: no real KITTI")
+@pytest.mark.parametrize(
+    ("rule", "kind", "figures"),
+    [
+        ("iou3d", "Car", (0.8728, 74, 435, 5, 0.8877, 0.6784)),
+        ("bev", "Car", (0.8733, 73, 434, 5, 0.8880, 0.8445)),
+        ("iou3d", "Pedestrian", (0.6722, 110, 832, 11, 0.7722, 0.5018)),
+        ("bev", "Pedestrian", (0.6773, 102, 823, 13, 0.7764, 0.7373)),
+        ("iou3d", "Cyclist", (0.8534, 51, 70, 2, 0.7064, 0.6001)),
+        ("bev", "Cyclist", (0.8582, 49, 68, 2, 0.7089, 0.7624)),
+    ],
+)
+def test_the_peer_gets_its_known_figures(capsys, rule, kind, figures):
+    """AB3DMOT's own output on the seven sequences, scored elsewhere by another program."""
+    root = Path(os.environ["PMBM_DATA"]) / "kitti"
+    names = ("0006", "0008", "0010", "0012", "0014", "0015", "0016")
+    scores = evaluate(
+        capsys, root, root / "peers" / "ab3dmot", "--rule", rule, "--classes", kind,
+        "--sequences", *names,
+    )  # fmt: skip
+    keys = ("MOTA", "FP", "FN", "IDS", "IDF1", "HOTA")
+    assert [round(scores[kind]["all"][key], 4) for key in keys] == list(figures)
