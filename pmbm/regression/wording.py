@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from xml.etree import ElementTree
 
 from pmbm.regression.gate import GateReport, SceneReport
 from pmbm.regression.verdicts import Verdict
 
-Commands = Mapping[str, str]
-"""Scenario -> the command that replays its worst trial; "accept" -> the one that accepts."""
+
+@dataclass(frozen=True)
+class Commands:
+    """What a reader of a red gate may want to do next.
+
+    replay : of a scenario and a trial, the command that shows it.
+    accept : the command that accepts the change, or None.
+    """
+
+    replay: Callable[[str, int], str]
+    accept: str | None = None
 
 
 def in_words(report: GateReport, commands: Commands) -> str:
@@ -19,8 +29,8 @@ def in_words(report: GateReport, commands: Commands) -> str:
     lines = []
     for scene in report.scenes:
         lines += scene_lines(report, scene, commands)
-    if report.verdict is Verdict.FAIL and "accept" in commands:
-        lines.append(f"accept the change: {commands['accept']}")
+    if report.verdict is Verdict.FAIL and commands.accept is not None:
+        lines.append(f"accept the change: {commands.accept}")
     counts = [scene.verdict for scene in report.scenes]
     parts = [f"{counts.count(kind)} {kind}" for kind in Verdict if kind in counts]
     lines.append(f"{report.verdict}: {', '.join(parts)}")
@@ -33,9 +43,9 @@ def scene_lines(report: GateReport, scene: SceneReport, commands: Commands) -> l
     if scene.alongside:
         beside = [f"{name} {old:.4g} -> {new:.4g}" for name, (old, new) in scene.alongside.items()]
         lines.append(f"    not gated: {', '.join(beside)}")
-    if scene.verdict is not Verdict.PASS and scene.name in commands:
+    if scene.verdict is not Verdict.PASS:
         where = f"trial {scene.worst}" + ("" if scene.error else f" (loss {scene.worst_loss:.4g})")
-        lines.append(f"    worst is {where}: {commands[scene.name]}")
+        lines.append(f"    worst is {where}: {commands.replay(scene.name, scene.worst)}")
     return lines
 
 

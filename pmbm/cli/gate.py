@@ -1,0 +1,341 @@
+"""`pmbm gate`: pass, fail or undecided, by paired trials against a baseline."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from pmbm.regression import GatedMetric, GateReport, Rules, wording
+    from pmbm.study import Cell, ConfiguredTracker, Study
+
+_EXIT = {"pass": 0, "fail": 1, "undecided": 3}
+
+
+@click.command()
+@click.argument("study_name", metavar="STUDY.toml|SCENARIO")
+@click.option(
+    "--against",
+    metavar="GITREF|TRACKER",
+    help="The baseline to run beside the candidate: a commit, branch or tag (checked out in a git "
+    "worktree), a shipped tracker, or MODULE:FACTORY.  [default: the stored baseline]",
+)
+@click.option("--tracker", metavar="NAME", help="The candidate.  [default: the study's first]")
+@click.option("--metric", metavar="NAME", help="What is gated.  [default: the study's, or ospa]")
+@click.option("--margin", type=float, help="Tolerated loss, in the metric's unit.")
+@click.option("--relative-margin", type=float, help="Tolerated loss, as a share.")
+@click.option("--alpha", type=float, help="Probability of a wrong verdict.  [default: 0.01]")
+@click.option("--max-trials", type=int, help="Undecided after so many.  [default: 600]")
+@click.option("--seed", type=click.IntRange(min=0), help="[default: the study's]")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option(
+    "--baseline",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The stored baseline.  [default: STUDY.baseline.json]",
+)
+@click.option("--accept", is_flag=True, help="Store the candidate's values as the new baseline.")
+@click.option("--junit", type=click.Path(path_type=Path, dir_okay=False), help="JUnit XML.")
+@click.option("--github", is_flag=True, help="Annotations.  [default: on in GitHub Actions]")
+@click.option("--bisect", metavar="GOOD..BAD", help="Name the first commit that fails.")
+def command(
+    study_name: str,
+    against: str | None,
+    baseline: Path | None,
+    accept: bool,
+    junit: Path | None,
+    github: bool,
+    bisect: str | None,
+    jobs: int,
+    **options: Any,
+) -> int:
+    """Did the tracker get worse?  Exit code 0: no; 1: yes; 3: undecided; 2: bad input.
+
+    Both trackers run over the same recordings, trial by trial, until the evidence decides.
+
+    \b
+    Examples:
+      pmbm gate night.toml --against main --jobs 4 --junit gate.xml
+      pmbm gate crossing --against argoverse --metric gospa --margin 0.05
+      pmbm gate night.toml --accept
+      pmbm gate night.toml --bisect v1.0..main
+    """
+    from pmbm.errors import InputError
+    from pmbm.regression import wording
+
+    task = _task(study_name, baseline, jobs, options)
+    if accept:
+        _accept(task)
+        return 0
+    if bisect is not None:
+        return _bisect(task, bisect)
+    with ExitStack() as stack:
+        report = _compare(task, stack, against)
+    commands = task.commands()
+    text = wording.in_words(report, commands)
+    code = _EXIT[report.verdict]
+    if code == 1 and against is not None and _is_accepted(task):
+        text += f"\naccepted in {task.baseline}: passes"
+        code = 0
+    click.echo(text)
+    if junit is not None:
+        try:
+            junit.write_text(wording.junit(report, commands, task.study.name), encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"cannot write it: {error.strerror}", file=junit) from error
+    if github or os.environ.get("GITHUB_ACTIONS") == "true":
+        click.echo(wording.github(report, commands))
+    return code
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A gate as it was asked for."""
+
+    name: str
+    study: Study
+    candidate: str
+    metric: GatedMetric
+    rules: Rules
+    baseline: Path
+    jobs: int
+
+    @property
+    def cells(self) -> dict[str, Cell]:
+        return {cell.label: cell for cell in self.study.cells}
+
+    def tracker(self, cell: Cell) -> ConfiguredTracker:
+        return cell.trackers[self.candidate]
+
+    def commands(self) -> wording.Commands:
+        from pmbm.regression import wording
+
+        accept = ["pmbm", "gate", self.name, "--tracker", self.candidate, "--accept"]
+        return wording.Commands(self._replay, shlex.join(accept))
+
+    def _replay(self, label: str, trial: int) -> str:
+        if self.name.endswith(".toml"):
+            index = trial * len(self.study.cells) + list(self.cells).index(label)
+            return shlex.join(["pmbm", "study", self.name, "--replay", str(index)])
+        trials = ["--trials", str(trial + 1), "--replay", str(trial)]
+        seed = ["--seed", str(self.study.seed)]
+        return shlex.join(["pmbm", "run", self.name, *seed, *trials, "--tracker", self.candidate])
+
+
+def _task(name: str, baseline: Path | None, jobs: int, options: dict[str, Any]) -> _Task:
+    from pmbm.errors import InputError, nearest_hint
+    from pmbm.regression import Rules, gated_metric
+
+    given = {key: value for key, value in options.items() if value is not None}
+    study = _study(name, given)
+    wanted = dict(study.gate) or {"metric": "ospa"}
+    if {"margin", "relative_margin"} & set(given):
+        wanted |= {"margin": None, "relative_margin": None}
+    wanted |= {k: given[k] for k in _GATE_OPTIONS if k in given}
+    candidate = given.get("tracker") or wanted.pop("candidate", None) or study.trackers[0]
+    wanted.pop("candidate", None)
+    if candidate not in study.trackers:
+        raise InputError(
+            f"no tracker '{candidate}' in {name}",
+            field="--tracker",
+            hint=nearest_hint(candidate, study.trackers, "tracker"),
+        )
+    metric = gated_metric(wanted.pop("metric"), wanted.pop("bounds", None))
+    try:
+        rules = Rules(**wanted)
+    except InputError as error:
+        raise error.located(
+            file=name if study.gate else None,
+            hint=error.hint or "say --margin or --relative-margin, or write a [gate] table",
+        ) from None
+    stem = Path(name).with_suffix("") if name.endswith(".toml") else Path(name)
+    return _Task(
+        name=name,
+        study=study,
+        candidate=candidate,
+        metric=metric,
+        rules=rules,
+        baseline=baseline or Path(f"{stem}.baseline.json"),
+        jobs=jobs,
+    )
+
+
+_GATE_OPTIONS = ("metric", "margin", "relative_margin", "alpha", "max_trials")
+
+
+def _study(name: str, given: Mapping[str, Any]) -> Study:
+    from pmbm.cli.sources import resolve
+    from pmbm.study import Cell, ConfiguredTracker, Study
+
+    if name.endswith(".toml"):
+        study = Study.load(name, resolve)
+        tracker = given.get("tracker")
+        if tracker is not None and tracker not in study.trackers and ":" in tracker:
+            extra = {tracker: ConfiguredTracker(tracker)}
+            cells = tuple(replace(c, trackers={**c.trackers, **extra}) for c in study.cells)
+            study = replace(study, cells=cells)
+        return study if "seed" not in given else replace(study, seed=given["seed"])
+    tracker = given.get("tracker", "pmbm")
+    cell = Cell(name, {}, resolve(name, {}), {tracker: ConfiguredTracker(tracker)})
+    return Study(name=name, cells=(cell,), trials=1, seed=given.get("seed", 0))
+
+
+def _compare(task: _Task, stack: ExitStack, against: str | None) -> GateReport:
+    """The gate's report against stored values, another tracker, or another commit's."""
+    from pmbm.regression import Entry, GateReport, load_baseline
+    from pmbm.regression.gitref import GitTracker, checked_out, same_sources
+    from pmbm.study import ConfiguredTracker
+    from pmbm.tracking import SHIPPED_TRACKERS
+
+    cells = task.cells
+    if against is None:
+        stored = load_baseline(task.baseline, task.commands().accept or "")
+        stored.check(task.metric, task.study.seed)
+        baselines: dict[str, Any] = dict.fromkeys(cells, stored)
+    elif against in task.study.trackers:
+        baselines = {label: cell.trackers[against] for label, cell in cells.items()}
+    elif against in SHIPPED_TRACKERS or ":" in against:
+        tracker = ConfiguredTracker(against)
+        tracker.bound()
+        baselines = dict.fromkeys(cells, tracker)
+    else:
+        folder = stack.enter_context(checked_out(against))
+        own = {label: task.tracker(cell) for label, cell in cells.items()}
+        if all(same_sources(folder, tracker.factory) for tracker in own.values()):
+            return GateReport(task.metric, task.rules, task.study.seed, (), same_code=True)
+        baselines = {
+            label: GitTracker(folder, tracker.factory, tracker.parameters)
+            for label, tracker in own.items()
+        }
+    entries = {
+        label: Entry(cell.source, baselines[label], task.tracker(cell))
+        for label, cell in cells.items()
+    }
+    return _run(task, entries)
+
+
+def _run(task: _Task, entries: dict[str, Any]) -> GateReport:
+    from pmbm.regression import run_gate
+
+    with _progress(task) as tell:
+        return run_gate(
+            entries,
+            task.metric,
+            task.rules,
+            seed=task.study.seed,
+            jobs=task.jobs,
+            progress=tell,
+        )
+
+
+@contextmanager
+def _progress(task: _Task) -> Iterator[Any]:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        tasks = {label: bar.add_task(label, total=None) for label in task.cells}
+
+        def tell(name: str, done: int, most: int) -> None:
+            bar.update(tasks[name], completed=done, total=most)
+
+        yield tell
+
+
+def _accept(task: _Task) -> None:
+    """Run the candidate alone and store its values."""
+    from pmbm.regression import StoredBaseline
+    from pmbm.study import run_trials
+
+    scenarios = {}
+    with _progress(task) as tell:
+        for label, cell in task.cells.items():
+            results = run_trials(
+                cell.source,
+                {"candidate": task.tracker(cell)},
+                task.study.seed,
+                task.rules.max_trials,
+                task.jobs,
+                partial(tell, label),
+                task.metric,
+            )
+            values = [result.scores["candidate"]["gated"] for result in results]
+            scenarios[label] = tuple(
+                (result.recording, float(value or 0.0))
+                for result, value in zip(results, values, strict=True)
+            )
+    stored = StoredBaseline(
+        metric=task.metric.name,
+        bounds=task.metric.bounds,
+        seed=task.study.seed,
+        tracker=task.candidate,
+        code=task.study.hash,
+        scenarios=scenarios,
+    )
+    stored.write(task.baseline)
+    click.echo(f"{task.baseline}: {task.rules.max_trials} trials of {', '.join(scenarios)}")
+
+
+def _is_accepted(task: _Task) -> bool:
+    from pmbm.errors import InputError
+    from pmbm.regression import load_baseline
+
+    try:
+        return load_baseline(task.baseline).code == task.study.hash
+    except InputError:
+        return False
+
+
+def _bisect(task: _Task, interval: str) -> int:
+    """Name the first commit of GOOD..BAD whose tracker fails against GOOD's."""
+    from pmbm.errors import InputError
+    from pmbm.regression import Entry, Verdict
+    from pmbm.regression.gitref import GitTracker, checked_out, git, repository_of
+
+    good, dots, bad = interval.partition("..")
+    if not (good and dots and bad) or bad.startswith("."):
+        raise InputError("bad interval", field="--bisect", expected="GOOD..BAD", got=interval)
+    top = repository_of(Path.cwd())
+    commits = git(top, "rev-list", "--reverse", interval, what=f"'{interval}'").split()
+    if not commits:
+        raise InputError("no commits there", field="--bisect", got=interval)
+
+    def verdict_of(commit: str) -> Verdict:
+        with checked_out(good) as old, checked_out(commit) as new:
+            entries = {}
+            for label, cell in task.cells.items():
+                name, parameters = task.tracker(cell).factory, task.tracker(cell).parameters
+                entries[label] = Entry(
+                    cell.source,
+                    GitTracker(old, name, parameters),
+                    GitTracker(new, name, parameters),
+                )
+            verdict = _run(task, entries).verdict
+        click.echo(f"{verdict:9}  {_subject(top, commit)}")
+        return verdict
+
+    if verdict_of(commits[-1]) is not Verdict.FAIL:
+        click.echo(f"{bad} does not fail against {good}")
+        return 3
+    low, high = 0, len(commits) - 1
+    while low < high:
+        middle = (low + high) // 2
+        if verdict_of(commits[middle]) is Verdict.FAIL:
+            high = middle
+        else:
+            low = middle + 1
+    click.echo(f"first bad commit: {_subject(top, commits[low])}")
+    return 1
+
+
+def _subject(top: Path, commit: str) -> str:
+    from pmbm.regression.gitref import git
+
+    return git(top, "log", "-1", "--format=%h %s", commit, what=commit)

@@ -1,0 +1,41 @@
+"""How the commands turn a name and overrides into a recording's source."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pmbm.study import Source
+
+
+def resolve(name: str, overrides: Mapping[str, Any]) -> Source:
+    """The scenario of that name or file, with keys of its document overridden.
+
+    overrides : dotted keys of the scenario's file ("detector.clutter_rate") and their values; and
+        "level", a level of what the scenario itself sweeps.
+    Raises InputError for an unknown scenario, key, level or value.
+    """
+    from sim import Scenario, load_scenario
+
+    scenario = load_scenario(name)
+    keys = {key: value for key, value in overrides.items() if key != "level"}
+    if keys:
+        document = copy.deepcopy(dict(scenario.document))
+        for key, value in keys.items():
+            _put(document, key, value)
+        scenario = Scenario(document, scenario.file)
+    return scenario.at(overrides["level"]) if "level" in overrides else scenario
+
+
+def _put(document: dict[str, Any], key: str, value: Any) -> None:
+    from pmbm.errors import InputError
+
+    table: Any = document
+    *path, last = key.split(".")
+    for part in path:
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise InputError(f"'{key}' names no table of the scenario", field=f"sweep: {key}")
+    table[last] = value

@@ -1,0 +1,194 @@
+"""`pmbm gate` as a user calls it: exit codes, outputs, stored baselines, commits."""
+
+import json
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+import pytest
+
+from pmbm.cli import main
+
+SCENARIO = """
+name = "parked"
+stresses = "Nothing at all: one parked car in plain sight."
+duration = 0.6
+rate = 5
+[scene]
+kind = "scripted"
+[scene.tracks.car]
+start = [20.0, 0.0]
+jitter = { x = 5.0, y = 5.0 }
+[detector]
+profile = "perfect"
+"""
+
+TRACKER = """
+import numpy as np
+from pmbm.types import Tracks
+
+
+class Mine:
+    shift = {shift}
+
+    def step(self, detections):
+        n = len(detections)
+        return Tracks(time=detections.time, id=np.arange(n),
+                      position=detections.position + np.array([self.shift, 0.0, 0.0]),
+                      size=detections.size, yaw=detections.yaw, velocity=np.zeros((n, 2)),
+                      score=detections.score, label=detections.label)
+
+
+class Worse(Mine):
+    shift = 1.5
+"""
+
+STUDY = """
+scenarios = ["parked.toml"]
+trackers = ["mine_gated:Mine", "mine_gated:Worse"]
+
+[gate]
+metric = "ospa"
+bounds = [0.0, 2.0]
+margin = 0.5
+alpha = 0.05
+rarest = 0.2
+max_trials = 20
+"""
+
+
+def git(folder, *arguments):
+    settings = ("-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false")
+    subprocess.run(["git", *settings, *arguments], cwd=folder, check=True, capture_output=True)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "parked.toml").write_text(SCENARIO)
+    (tmp_path / "night.toml").write_text(STUDY)
+    (tmp_path / "mine_gated.py").write_text(TRACKER.format(shift=0.0))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "mine_gated", raising=False)
+    monkeypatch.delenv("GITHUB_ACTIONS", raising=False)
+    return tmp_path
+
+
+def pmbm(capsys, *arguments):
+    """Exit code, standard output and standard error of a command."""
+    with pytest.raises(SystemExit) as stop:
+        main(list(arguments))
+    said = capsys.readouterr()
+    return stop.value.code, said.out, said.err
+
+
+def test_pass_fail_and_undecided_are_0_1_and_3(folder, capsys):
+    code, out, _ = pmbm(capsys, "gate", "night.toml", "--against", "mine_gated:Mine")
+    assert (code, out.splitlines()[-1]) == (0, "pass: 1 pass")
+    code, out, _ = pmbm(
+        capsys,
+        "gate",
+        "night.toml",
+        "--against",
+        "mine_gated:Mine",
+        "--tracker",
+        "mine_gated:Worse",
+    )
+    assert (code, out.splitlines()[-1]) == (1, "fail: 1 fail")
+    assert "pmbm study night.toml --replay " in out
+    assert "accept the change: pmbm gate night.toml --tracker mine_gated:Worse --accept" in out
+    code, out, _ = pmbm(
+        capsys, "gate", "night.toml", "--against", "mine_gated:Mine", "--max-trials", "5"
+    )
+    assert (code, out.splitlines()[-1]) == (3, "undecided: 1 undecided")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nigth.toml", "--against", "pmbm"], "nigth.toml"),
+        (["night.toml", "--against", "no-such-ref"], "git"),
+        (["night.toml", "--tracker", "nobody", "--against", "pmbm"], "no tracker 'nobody'"),
+        (["night.toml", "--margin", "-1", "--against", "pmbm"], "margin"),
+        (["night.toml", "--metric", "opsa", "--against", "pmbm"], "did you mean 'ospa'"),
+        (["parked.toml", "--against", "pmbm"], "unknown key"),
+        (["crossing", "--against", "argoverse"], "say --margin"),
+        (["crosing", "--against", "argoverse", "--margin", "1"], "did you mean 'crossing'"),
+        (["night.toml"], "no stored baseline"),
+        (["night.toml", "--bisect", "HEAD"], "GOOD..BAD"),
+    ],
+)
+def test_bad_input_is_one_line_and_2(folder, capsys, arguments, words):
+    code, out, err = pmbm(capsys, "gate", *arguments)
+    assert code == 2, err
+    assert out == ""
+    assert words in err
+    assert err.count("\n") == 1
+    assert err.startswith("pmbm: ")
+
+
+def test_reports_for_machines(folder, capsys):
+    arguments = ["--against", "mine_gated:Mine", "--junit", "gate.xml", "--github"]
+    code, out, _ = pmbm(capsys, "gate", "night.toml", "--tracker", "mine_gated:Worse", *arguments)
+    assert code == 1
+    assert "::error title=pmbm gate" in out
+    suite = ElementTree.parse(folder / "gate.xml").getroot().find("testsuite")
+    assert suite.get("failures") == "1"
+
+
+def test_accepted_values_become_the_baseline(folder, capsys):
+    worse = ("gate", "night.toml", "--tracker", "mine_gated:Worse")
+    code, out, _ = pmbm(capsys, "gate", "night.toml", "--accept")
+    assert code == 0
+    assert "night.baseline.json: 20 trials" in out
+    document = json.loads((folder / "night.baseline.json").read_text())
+    assert len(document["scenarios"]["parked.toml"]["values"]) == 20
+    code, out, _ = pmbm(capsys, "gate", "night.toml")
+    assert code == 0
+    assert "all values are equal" in out
+    assert pmbm(capsys, *worse)[0] == 1
+    assert pmbm(capsys, *worse, "--accept")[0] == 0
+    assert pmbm(capsys, *worse)[0] == 0
+    # What was accepted by a person also passes beside the old tracker.
+    code, out, _ = pmbm(capsys, *worse, "--against", "mine_gated:Mine")
+    assert (code, "accepted in night.baseline.json" in out) == (0, True)
+
+
+def test_another_world_is_a_mismatch(folder, capsys):
+    pmbm(capsys, "gate", "night.toml", "--accept")
+    (folder / "parked.toml").write_text(SCENARIO.replace("20.0, 0.0", "25.0, 0.0"))
+    code, _, err = pmbm(capsys, "gate", "night.toml")
+    assert code == 2
+    assert "another recording than the baseline's" in err
+    assert "--against GITREF" in err
+    assert "pmbm gate night.toml --tracker mine_gated:Mine --accept" in err
+
+
+@pytest.fixture
+def history(folder):
+    """Commits whose tracker is off by 0, 0, 1.5, 1.5 metres, tagged c0 to c3."""
+    git(folder, "init", "-q")
+    for number, shift in enumerate([0.0, 0.0, 1.5, 1.5]):
+        (folder / "mine_gated.py").write_text(TRACKER.format(shift=shift))
+        (folder / "note").write_text(str(number))
+        git(folder, "add", ".")
+        git(folder, "commit", "-q", "-m", f"step {number}")
+        git(folder, "tag", f"c{number}")
+    return folder
+
+
+def test_against_a_commit(history, capsys):
+    code, out, _ = pmbm(capsys, "gate", "night.toml", "--against", "c1")
+    assert code == 1
+    assert "ospa 0 -> 0\n" not in out
+    code, out, _ = pmbm(capsys, "gate", "night.toml", "--against", "c3")
+    assert (code, out) == (0, "pass: both trackers are the same code\n")
+
+
+def test_bisect_names_the_first_bad_commit(history, capsys):
+    code, out, _ = pmbm(capsys, "gate", "night.toml", "--bisect", "c0..c3")
+    assert code == 1
+    assert out.splitlines()[-1].endswith("step 2")
+    assert out.splitlines()[-1].startswith("first bad commit: ")
+    code, out, _ = pmbm(capsys, "gate", "night.toml", "--bisect", "c2..c3")
+    assert (code, "does not fail" in out) == (3, True)
