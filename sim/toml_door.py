@@ -6,6 +6,7 @@ import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
@@ -32,11 +33,13 @@ def validated(kind: type[_T], table: Any, *, file: object = None) -> _T:
 
     Raises InputError naming file and dotted key, with the nearest valid name for an unknown key.
     """
-    from pydantic import TypeAdapter, ValidationError
+    from pydantic import ValidationError
 
+    form: Any = kind
     try:
         # Only the strict JSON mode takes tables for dataclasses and yet no text for numbers.
-        return TypeAdapter(kind).validate_json(json.dumps(table, default=str), strict=True)
+        value: _T = _adapter(form).validate_json(json.dumps(table, default=str), strict=True)
+        return value
     except ValidationError as failure:
         # Unknown keys first: a mistyped key is also a missing one.
         error = min(failure.errors(), key=lambda e: e["type"] != "unexpected_keyword_argument")
@@ -75,6 +78,13 @@ def table_of(document: Mapping[str, Any], *path: str, file: object = None) -> di
                 got=table,
             )
     return dict(table)
+
+
+@cache
+def _adapter(kind: Any) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind)
 
 
 def _kind_at(kind: Any, place: Sequence[str]) -> Any:
