@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from pmbm.errors import InputError
+from pmbm.errors import InputError, nearest_hint
+from pmbm.score import ScoreModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +26,18 @@ class PMBMConfig:
     clutter_rate : expected false detections per frame over the field of view, >= 0.
     occlusion : whether the other tracks, as likely as they exist, and the site's occluders hide an
         object, so that its P_D is that in the open times its expected visible share (Sec. 2.2).
+
+    Scores (Sec. 2.6; the paper names the ideas and gives no formulas)
+    scores : "ignore"; "first": they scale existence and weight of objects detected for the first
+        time, r = s e / (s e + (1 - s) lambda_c), as the paper does; "everywhere": they count as
+        likelihood ratios of object against clutter in every branch.
+    score_model : what a score means; None takes scores at their word (`ScoreModel.trusting()`).
+    detection_from_scores : "off"; "rising" or "falling": P_D of a track lies between
+        `detection_low` and `detection_high`, after the running mean of its past scores.
+    detection_low, detection_high : in [0, 1].
+    newest_score : weight of the newest score in that mean, in (0, 1].
+    miss_rule : "bayes"; "scaled": a miss multiplies existence and weight by 1 - P_D, as the paper
+        has it.
 
     Undetected objects (Sec. 2.2)
     birth_rate : expected new objects per second over the field of view, >= 0.
@@ -58,6 +71,13 @@ class PMBMConfig:
     detection_probability: float = 0.9
     clutter_rate: float = 2.0
     occlusion: bool = True
+    scores: Literal["ignore", "first", "everywhere"] = "ignore"
+    score_model: ScoreModel | None = None
+    detection_from_scores: Literal["off", "rising", "falling"] = "off"
+    detection_low: float = 0.7
+    detection_high: float = 0.95
+    newest_score: float = 0.3
+    miss_rule: Literal["bayes", "scaled"] = "bayes"
     birth_rate: float = 0.5
     initial_objects: float = 3.0
     birth_components: int = 7
@@ -78,6 +98,29 @@ class PMBMConfig:
     def __post_init__(self) -> None:
         for f in fields(self):
             _check(f.name, getattr(self, f.name), type(f.default))
+        for name, choices in _CHOICES.items():
+            value = getattr(self, name)
+            if value not in choices:
+                raise InputError(
+                    "PMBM configuration",
+                    field=name,
+                    got=value,
+                    hint=nearest_hint(value, choices, "choice"),
+                )
+        if self.score_model is not None and not isinstance(self.score_model, ScoreModel):
+            raise InputError(
+                "PMBM configuration",
+                field="score_model",
+                expected="a ScoreModel or None",
+                got=type(self.score_model).__name__,
+            )
+        if self.detection_low > self.detection_high:
+            raise InputError(
+                "PMBM configuration",
+                field="detection_low",
+                expected=f"at most detection_high = {self.detection_high:g}",
+                got=self.detection_low,
+            )
         for name, (low, high, open_low, open_high) in _BOUNDS.items():
             value = getattr(self, name)
             too_low = value <= low if open_low else value < low
@@ -91,7 +134,35 @@ class PMBMConfig:
                     got=value,
                 )
 
+    @classmethod
+    def textbook(cls, **changes: Any) -> PMBMConfig:
+        """Exact Bayes with one P_D for all in view: scores ignored, nothing hides anything
+        (Williams 2015; Garcia-Fernandez et al. 2018)."""
+        return cls(**{**_TEXTBOOK, **changes})
 
+    @classmethod
+    def paper(cls, **changes: Any) -> PMBMConfig:
+        """The three deviations of Pang & Radha (2021, Sec. 2.6) from the textbook: scores in the
+        first detection, P_D from past scores, and misses that scale existence and weight."""
+        return cls(**{**_TEXTBOOK, **_PAPER, **changes})
+
+
+_TEXTBOOK: dict[str, Any] = {
+    "scores": "ignore",
+    "detection_from_scores": "off",
+    "miss_rule": "bayes",
+    "occlusion": False,
+}
+_PAPER: dict[str, Any] = {
+    "scores": "first",
+    "detection_from_scores": "rising",
+    "miss_rule": "scaled",
+}
+_CHOICES = {
+    "scores": ("ignore", "first", "everywhere"),
+    "detection_from_scores": ("off", "rising", "falling"),
+    "miss_rule": ("bayes", "scaled"),
+}
 _PROBABILITY = (0.0, 1.0, False, False)
 _POSITIVE = (0.0, np.inf, True, True)
 _NOT_NEGATIVE = (0.0, np.inf, False, True)
@@ -103,6 +174,9 @@ _BOUNDS: dict[str, tuple[float, float, bool, bool]] = {
     "measurement_sd": _POSITIVE,
     "detection_probability": _PROBABILITY,
     "clutter_rate": _NOT_NEGATIVE,
+    "detection_low": _PROBABILITY,
+    "detection_high": _PROBABILITY,
+    "newest_score": (0.0, 1.0, True, False),
     "birth_rate": _NOT_NEGATIVE,
     "initial_objects": _NOT_NEGATIVE,
     "birth_components": _COUNT,
@@ -126,7 +200,9 @@ def _check(name: str, value: Any, kind: type) -> None:
         float: (int, float, np.integer, np.floating),
         int: (int, np.integer),
         bool: (bool, np.bool_),
-    }[kind]
+    }.get(kind, (object,))
+    if allowed == (object,):
+        return
     is_bool = isinstance(value, bool | np.bool_)
     if not isinstance(value, allowed) or is_bool != (kind is bool) or value != value:
         what = {float: "a number", int: "a whole number", bool: "true or false"}[kind]

@@ -63,6 +63,7 @@ class Locals:
     label (H,) : int8, of the last detection.
     history (H,L) : int32, measurement taken at each of the last L steps, MISSED or BEFORE; L is
         the configuration's `history`.
+    confidence (H,) or None : running mean of the scores of past detections, where it is asked for.
     """
 
     track: Index
@@ -72,6 +73,7 @@ class Locals:
     box: FloatArray
     label: NDArray[np.int8]
     history: NDArray[np.int32]
+    confidence: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.track)
@@ -85,6 +87,7 @@ class Locals:
             self.box[rows],
             self.label[rows],
             self.history[rows],
+            None if self.confidence is None else self.confidence[rows],
         )
 
     @staticmethod
@@ -97,10 +100,11 @@ class Locals:
             np.concatenate([part.box for part in parts]),
             np.concatenate([part.label for part in parts]),
             np.concatenate([part.history for part in parts]),
+            _concatenated([part.confidence for part in parts]),
         )
 
     @staticmethod
-    def empty(history: int = 0) -> Locals:
+    def empty(history: int = 0, confidence: bool = False) -> Locals:
         return Locals(
             np.zeros(0, np.intp),
             np.zeros(0),
@@ -109,6 +113,7 @@ class Locals:
             np.zeros((0, 5)),
             np.zeros(0, np.int8),
             np.zeros((0, history), np.int32),
+            np.zeros(0) if confidence else None,
         )
 
 
@@ -174,11 +179,16 @@ class Density:
     detections_seen: int = 0
 
     @staticmethod
-    def initial(undetected: Mixture, *, clustering: bool = True, history: int = 0) -> Density:
-        """Nothing detected yet; `clustering=False` keeps all tracks in one cluster for ever."""
+    def initial(
+        undetected: Mixture, *, clustering: bool = True, local: Locals | None = None
+    ) -> Density:
+        """Nothing detected yet; `clustering=False` keeps all tracks in one cluster for ever.
+
+        local : an empty table with the columns to keep; default, those of `Locals.empty()`.
+        """
         return Density(
             undetected=undetected,
-            local=Locals.empty(history),
+            local=local if local is not None else Locals.empty(),
             hypotheses=Globals.none() if clustering else Globals.one_empty(),
             track_id=np.zeros(0, np.int64),
         )
@@ -204,6 +214,12 @@ class Density:
 
     def with_undetected(self, undetected: Mixture) -> Density:
         return replace(self, undetected=undetected)
+
+
+def _concatenated(parts: list[FloatArray | None]) -> FloatArray | None:
+    """Optional columns, one on another; all parts have the column or none has."""
+    present = [part for part in parts if part is not None]
+    return np.concatenate(present) if len(present) == len(parts) else None
 
 
 def ragged(start: Index, count: Index) -> Index:

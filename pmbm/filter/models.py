@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import ndtr
 
-from pmbm.filter.density import Locals, Mixture
+from pmbm.filter.density import Index, Locals, Mixture
 from pmbm.types import FloatArray, Site
 
 if TYPE_CHECKING:
@@ -102,6 +102,28 @@ class View:
         return share
 
 
+@dataclass(frozen=True, slots=True)
+class DetectionFromScores:
+    """P_D of a track from the running mean of its past scores (Pang & Radha 2021, Sec. 2.6, which
+    says that it depends on them and leaves the form open): linear between two bounds.
+
+    low, high : the bounds.  rising : whether clear tracks have the high one; then a track that was
+    seen clearly and is missed has probably gone.  Falling, it outlives a doubtful one.
+    newest : weight of the newest score in the running mean, in (0, 1].
+    """
+
+    low: float
+    high: float
+    rising: bool
+    newest: float
+
+    def of(self, confidence: FloatArray | None) -> FloatArray:
+        """(H,) P_D in the open."""
+        assert confidence is not None
+        share = confidence if self.rising else 1 - confidence
+        return np.clip(self.low + (self.high - self.low) * share, self.low, self.high)
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Sensor:
     """How detections come about.
@@ -111,6 +133,8 @@ class Sensor:
     clutter : false detections per m^2 and frame.
     view : None where everything is in view.
     shadows : None where nothing hides anything.
+    from_scores : None where P_D does not depend on a track's past scores.
+    scaled_misses : the paper's rule for a miss (Sec. 2.6) in place of Bayes'.
     """
 
     R: FloatArray
@@ -118,21 +142,46 @@ class Sensor:
     clutter: float
     view: View | None = None
     shadows: Shadows | None = None
+    from_scores: DetectionFromScores | None = None
+    scaled_misses: bool = False
 
     def detection_probability(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
         """(N,) P_D averaged over Gaussians (N,4), (N,4,4)."""
-        if self.view is None:
-            return np.full(len(mean), self.detection)
-        return self.detection * self.view.share_inside(mean, cov)
+        return self.detection * self._share_in_view(mean, cov)
+
+    def _share_in_view(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
+        return np.ones(len(mean)) if self.view is None else self.view.share_inside(mean, cov)
 
     def of_tracks(self, local: Locals) -> tuple[FloatArray, FloatArray]:
         """P_D (H,) of local hypotheses, as misses and as detections count it: in the open, times
         the expected visible share, floored in the latter."""
-        in_the_open = self.detection_probability(local.mean, local.cov)
+        own = self.detection if self.from_scores is None else self.from_scores.of(local.confidence)
+        in_the_open = own * self._share_in_view(local.mean, local.cov)
         if self.shadows is None:
             return in_the_open, in_the_open
         visible = self.shadows.visible_share(local)
         return in_the_open * visible, in_the_open * np.maximum(visible, LEAST_VISIBLE_TO_BE_SEEN)
+
+    def missed(self, r: FloatArray, P_D: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Existence of tracks that were missed, and the weight of missing them, (H,) each.
+
+        Bayes: r (1 - P_D) / (1 - r P_D) and 1 - r P_D.  The paper multiplies both existence and
+        weight by 1 - P_D (Sec. 2.6), whatever r.
+        """
+        if self.scaled_misses:
+            return r * (1 - P_D), 1 - P_D
+        left = 1 - r * P_D
+        # Missing what exists and is always seen is impossible; its r stays a number all the same.
+        return np.where(left > 0, r * (1 - P_D) / np.where(left > 0, left, 1.0), 0.0), left
+
+    def remembered(
+        self, before: FloatArray | None, scores: FloatArray | None, measurement: Index
+    ) -> FloatArray | None:
+        """The running mean of past scores, one detection on."""
+        if self.from_scores is None or before is None or scores is None:
+            return None
+        share = self.from_scores.newest
+        return (1 - share) * before + share * scores[measurement]
 
 
 def spread_over(view: View, components: int, speed_sd: float) -> Mixture:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from pmbm.errors import InputError
 from pmbm.filter.association import associate
 from pmbm.filter.config import PMBMConfig
-from pmbm.filter.density import Density, Mixture
+from pmbm.filter.density import Density, Locals, Mixture
 from pmbm.filter.estimation import marginals
 from pmbm.filter.models import (
+    DetectionFromScores,
     Sensor,
     Transition,
     View,
@@ -23,8 +25,10 @@ from pmbm.filter.models import (
 from pmbm.filter.occlusion import Shadows
 from pmbm.filter.prediction import predict
 from pmbm.filter.reduction import Limits, Reduced, reduce
-from pmbm.filter.update import Scan, update
-from pmbm.types import Detections, Site, Tracks
+from pmbm.filter.scan import Scan
+from pmbm.filter.update import update
+from pmbm.score import ScoreModel
+from pmbm.types import Detections, FloatArray, Site, Tracks
 
 
 class PMBMTracker:
@@ -46,6 +50,8 @@ class PMBMTracker:
         self.density: Density | None = None
         self.reduced = Reduced()
         self._time = math.nan
+        self._score_model = self.config.score_model or ScoreModel.trusting()
+        self._from_scores = _from_scores(self.config)
 
     def step(self, detections: Detections, /) -> Tracks:
         """Take in one frame, empty or not, and report the objects that probably exist.
@@ -56,12 +62,12 @@ class PMBMTracker:
         """
         config = self.config
         view = View.of(self.site, detections.sensor_pose)
-        scan = _scan(detections)
+        scan = self._scan(detections)
         if self.density is None:
             predicted = Density.initial(
                 self._spread(view, config.initial_objects),
                 clustering=config.clustering,
-                history=config.history,
+                local=Locals.empty(config.history, config.detection_from_scores != "off"),
             )
         else:
             dt = self._elapsed(detections.time)
@@ -69,10 +75,11 @@ class PMBMTracker:
         sensor = self._sensor(view, predicted)
         association = associate(
             predicted,
-            scan.position,
+            scan,
             sensor,
             gate_threshold=config.gate,
             max_hypotheses=config.max_hypotheses,
+            margin=-math.log(config.prune_hypothesis) if config.prune_hypothesis else math.inf,
             clustering=config.clustering,
         )
         updated = update(predicted, scan, association, sensor)
@@ -86,6 +93,21 @@ class PMBMTracker:
                 "detections out of order", field="time", expected=f">= {self._time:g}", got=time
             )
         return time - self._time
+
+    def _scan(self, detections: Detections) -> Scan:
+        """The measurements, with what their scores say under this configuration."""
+        config = self.config
+        scan = Scan.of(detections)
+        if config.scores == "ignore" and self._from_scores is None:
+            return scan
+        given = scores_on(self._score_model.scale, detections)
+        s = np.clip(self._score_model.evidence(given), 1e-3, 1 - 1e-3)
+        return replace(
+            scan,
+            evidence=(s / (1 - s))[:, None] if config.scores == "everywhere" else None,
+            first=np.column_stack([2 * s, 2 * (1 - s)]) if config.scores == "first" else None,
+            confidence=s if self._from_scores is not None else None,
+        )
 
     def _transition(self, dt: float) -> Transition:
         config = self.config
@@ -111,6 +133,8 @@ class PMBMTracker:
             detection=config.detection_probability,
             clutter=config.clutter_rate / view.area,
             view=view,
+            from_scores=self._from_scores,
+            scaled_misses=config.miss_rule == "scaled",
             shadows=Shadows.of(predicted, view.pose[:2], self.site.occluders) if hides else None,
         )
 
@@ -140,9 +164,28 @@ class PMBMTracker:
         )
 
 
-def _scan(detections: Detections) -> Scan:
-    return Scan(
-        position=detections.position[:, :2],
-        box=np.column_stack([detections.position[:, 2], detections.size, detections.yaw]),
-        label=detections.label,
+def _from_scores(config: PMBMConfig) -> DetectionFromScores | None:
+    if config.detection_from_scores == "off":
+        return None
+    return DetectionFromScores(
+        config.detection_low,
+        config.detection_high,
+        config.detection_from_scores == "rising",
+        config.newest_score,
     )
+
+
+def scores_on(scale: str, detections: Detections) -> FloatArray:
+    """The scores (N,) that a score model of this scale reads.
+
+    Raises InputError where it reads raw scores and the detections have none.
+    """
+    if scale == "score":
+        return detections.score
+    if detections.raw_score is None:
+        raise InputError(
+            "the score model reads raw scores, and the detections have none",
+            field="raw_score",
+            hint="fit a model to calibrated scores: scale = 'score'",
+        )
+    return detections.raw_score

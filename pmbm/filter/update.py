@@ -9,7 +9,7 @@ known track, detected         1                           Kalman update
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,22 +27,8 @@ from pmbm.filter.density import (
 )
 from pmbm.filter.gaussian import Innovation, corrected_cov, corrected_mean, gain, moments
 from pmbm.filter.models import Sensor
+from pmbm.filter.scan import Scan
 from pmbm.types import FloatArray
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Scan:
-    """The measurements of one frame.
-
-    position (M,2); box (M,5) : z, length, width, height, yaw; label (M,) int8.
-    """
-
-    position: FloatArray
-    box: FloatArray
-    label: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.position)
 
 
 def update(density: Density, scan: Scan, association: Association, sensor: Sensor) -> Density:
@@ -133,18 +119,10 @@ def _still_undetected(ppp: Mixture, detection: FloatArray) -> Mixture:
 
 def _missed(local: Locals, association: Association, rows: Index) -> Locals:
     kept = local.take(rows)
-    P_D = association.detection[rows]
-    r = kept.existence
-    # A missed object of r P_D = 1 is impossible; its weight says so, and its r stays a number.
-    missed = np.where(r * P_D < 1, r * (1 - P_D) / np.where(r * P_D < 1, 1 - r * P_D, 1.0), 0.0)
-    return Locals(
-        kept.track,
-        missed,
-        kept.mean,
-        kept.cov,
-        kept.box,
-        kept.label,
-        _remember(kept.history, np.full(len(rows), MISSED)),
+    return replace(
+        kept,
+        existence=association.existence_if_missed[rows],
+        history=_remember(kept.history, np.full(len(rows), MISSED)),
     )
 
 
@@ -153,17 +131,18 @@ def _detected(
 ) -> Locals:
     known = association.known
     row, measurement = known.row[pairs], known.measurement[pairs]
-    mean, cov = local.mean[row], local.cov[row]
-    innovation = Innovation.of(mean, cov, sensor.R)
-    W = gain(cov, innovation)
+    before = local.take(row)
+    innovation = Innovation.of(before.mean, before.cov, sensor.R)
+    W = gain(before.cov, innovation)
     return Locals(
-        local.track[row],
+        before.track,
         np.ones(len(pairs)),
-        corrected_mean(mean, W, known.y[pairs]),
-        corrected_cov(cov, W, sensor.R, innovation),
+        corrected_mean(before.mean, W, known.y[pairs]),
+        corrected_cov(before.cov, W, sensor.R, innovation),
         scan.box[measurement],
         scan.label[measurement],
-        _remember(local.history[row], measurement),
+        _remember(before.history, measurement),
+        confidence=sensor.remembered(before.confidence, scan.confidence, measurement),
     )
 
 
@@ -175,8 +154,25 @@ def _first_detected(
     Its state is the fused distribution over the gated PPP components, weighted by w P_D N(z).
     Where no component is in the gate, r = 0 and the state says where the measurement was.
     """
-    ppp, pairs = density.undetected, association.undetected
-    M = len(scan)
+    mean, cov = _fused(density.undetected, scan, association, sensor)
+    L = density.local.history.shape[1]
+    return Locals(
+        len(density.track_id) + measurements,
+        np.exp(association.log_first - association.log_new)[measurements],
+        mean[measurements],
+        cov[measurements],
+        scan.box[measurements],
+        scan.label[measurements],
+        _remember(np.full((len(measurements), L), BEFORE, np.int32), measurements),
+        confidence=None if scan.confidence is None else scan.confidence[measurements],
+    )
+
+
+def _fused(
+    ppp: Mixture, scan: Scan, association: Association, sensor: Sensor
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (M,4) and covariance (M,4,4) of the object that each measurement may be the first of."""
+    pairs, M = association.undetected, len(scan)
     mean = np.zeros((M, 4))
     mean[:, :2] = scan.position
     cov = np.zeros((M, 4, 4))
@@ -185,26 +181,16 @@ def _first_detected(
         innovation = Innovation.of(ppp.mean, ppp.cov, sensor.R)
         W = gain(ppp.cov, innovation)
         after = corrected_cov(ppp.cov, W, sensor.R, innovation)
-        share = np.exp(pairs.log_weight - association.log_first[pairs.measurement])
-        first = np.flatnonzero(np.diff(pairs.measurement, prepend=-1))
-        seen = pairs.measurement[first]
+        count = np.bincount(pairs.measurement, minlength=M)
+        seen = np.flatnonzero(count)
+        first = (np.cumsum(count) - count)[seen]
         mean[seen], cov[seen] = moments(
-            share,
+            association.share,
             corrected_mean(ppp.mean[pairs.row], W[pairs.row], pairs.y),
             after[pairs.row],
             first,
         )
-    existence = np.exp(association.log_first - association.log_new)[measurements]
-    L = density.local.history.shape[1]
-    return Locals(
-        len(density.track_id) + measurements,
-        existence,
-        mean[measurements],
-        cov[measurements],
-        scan.box[measurements],
-        scan.label[measurements],
-        _remember(np.full((len(measurements), L), BEFORE, np.int32), measurements),
-    )
+    return mean, cov
 
 
 def _remember(history: np.ndarray, measurement: Index) -> np.ndarray:

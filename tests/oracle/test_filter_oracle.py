@@ -24,12 +24,13 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from pmbm.filter.association import associate
-from pmbm.filter.density import BEFORE, Density, Mixture
+from pmbm.filter.density import BEFORE, Density, Locals, Mixture
 from pmbm.filter.estimation import best_hypothesis, map_cardinality, most_certain_hypothesis
 from pmbm.filter.models import Sensor, Transition
 from pmbm.filter.prediction import predict
 from pmbm.filter.reduction import Limits, reduce
-from pmbm.filter.update import Scan, update
+from pmbm.filter.scan import Scan
+from pmbm.filter.update import update
 
 FOLDER = Path(os.environ.get("PMBM_FILTER_CASES") or Path(__file__).parent / "filter")
 SCENARIOS = sorted(FOLDER.glob("scenario_*.npz"))
@@ -86,20 +87,20 @@ class Case:
         )
 
     def initial(self, undetected, steps):
-        return Density.initial(undetected, clustering=False, history=steps)
+        return Density.initial(undetected, clustering=False, local=Locals.empty(steps))
 
     def step(self, density, z, first):
         """One step of the filter: predicted, association, updated, reduced."""
         predicted = density if first else predict(density, self.transition, self.birth)
+        scan = Scan.of_positions(z)
         association = associate(
             predicted,
-            z,
+            scan,
             self.sensor,
             gate_threshold=self.gate,
             max_hypotheses=self.murty,
             clustering=False,
         )
-        scan = Scan(z, np.ones((len(z), 5)), np.zeros(len(z), np.int8))
         updated = update(predicted, scan, association, self.sensor)
         return predicted, association, updated, reduce(updated, self.limits)[0]
 

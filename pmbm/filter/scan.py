@@ -1,0 +1,48 @@
+"""What the filter takes from one frame of detections."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmbm.types import Detections, FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scan:
+    """The measurements of one frame, M rows.
+
+    position (M,2); box (M,5) : z, length, width, height, yaw; label (M,) int8.
+    evidence (M,K) or None : p(score, label | kind) / p(score, label | clutter) for the K kinds that
+        an object may be of; None is a scan whose scores and labels say nothing.
+    first (M,2) or None : factors on the density of first detections and on that of clutter, for
+        the rule that lets a score speak there alone.
+    confidence (M,) or None : in [0, 1], what a track remembers of its detections.
+    """
+
+    position: FloatArray
+    box: FloatArray
+    label: NDArray[np.int8]
+    evidence: FloatArray | None = None
+    first: FloatArray | None = None
+    confidence: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @staticmethod
+    def of_positions(position: ArrayLike) -> Scan:
+        """Points (M,2) alone, for problems without boxes."""
+        position = np.asarray(position, dtype=np.float64).reshape(-1, 2)
+        return Scan(position, np.ones((len(position), 5)), np.zeros(len(position), np.int8))
+
+    @staticmethod
+    def of(detections: Detections) -> Scan:
+        """The boxes of a frame; their scores are the business of who knows what they mean."""
+        box = np.empty((len(detections), 5))
+        box[:, 0] = detections.position[:, 2]
+        box[:, 1:4] = detections.size
+        box[:, 4] = detections.yaw
+        return Scan(detections.position[:, :2], box, detections.label)

@@ -1,0 +1,213 @@
+"""What a detector's score says: the probability that the detection is true, and how much more
+probable the score is of an object than of clutter.
+
+A model is a rising curve of log-odds over the score.  It is fitted from scores with known origin,
+by logistic regression or by isotonic regression, and kept as TOML.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pmbm.door import Door
+from pmbm.errors import InputError, nearest_hint
+
+FloatArray = NDArray[np.float64]
+Scale = Literal["score", "raw_score"]
+
+_SURE = 1e-6
+"""Probabilities are kept this far from 0 and 1, so that no single score decides for ever."""
+_SCALES = ("score", "raw_score")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScoreModel:
+    """Calibrated log-odds of a detection being true, as a function of its score.
+
+    knot (K,) : scores, strictly rising, K >= 1.
+    log_odds (K,) : log(q / (1 - q)) at the knots, q = P(true | score); linear between the knots,
+        constant beyond them.
+    base_rate : P(true) among the detections that the model was fitted to, in (0, 1).
+    scale : whether the knots are on the scale of `Detections.score` or `Detections.raw_score`.
+
+    Example
+    -------
+    >>> model = ScoreModel.trusting()
+    >>> float(model.probability([0.8])[0].round(6))
+    0.8
+    """
+
+    knot: FloatArray
+    log_odds: FloatArray
+    base_rate: float
+    scale: Scale = "score"
+
+    def __post_init__(self) -> None:
+        door = Door(self, "score model")
+        knots = np.size(self.knot)
+        door.floats("knot", (max(knots, 1),))
+        door.floats("log_odds", (knots,))
+        door.number("base_rate", above=0.0)
+        if (np.diff(self.knot) <= 0).any():
+            raise InputError("score model", field="knot", expected="strictly rising", got=self.knot)
+        if self.base_rate >= 1:
+            raise InputError(
+                "score model", field="base_rate", expected="below 1", got=self.base_rate
+            )
+        if self.scale not in _SCALES:
+            raise InputError(
+                "score model",
+                field="scale",
+                got=self.scale,
+                hint=nearest_hint(self.scale, _SCALES, "scale"),
+            )
+
+    def probability(self, score: ArrayLike) -> FloatArray:
+        """(N,) calibrated P(true | score)."""
+        return _logistic(self._log_odds(score))
+
+    def log_likelihood_ratio(self, score: ArrayLike) -> FloatArray:
+        """(N,) log p(score | object) / p(score | clutter): the log-odds less those of the base."""
+        return self._log_odds(score) - _logit(np.float64(self.base_rate))
+
+    def evidence(self, score: ArrayLike) -> FloatArray:
+        """(N,) the score's own word in [0, 1], whatever the base rate: 0.5 says nothing.
+
+        The logistic of the log likelihood ratio.
+        """
+        return _logistic(self.log_likelihood_ratio(score))
+
+    def _log_odds(self, score: ArrayLike) -> FloatArray:
+        return np.interp(np.asarray(score, dtype=np.float64), self.knot, self.log_odds)
+
+    @staticmethod
+    def trusting(base_rate: float = 0.5) -> ScoreModel:
+        """Takes scores in [0, 1] at their word: q = score."""
+        knot = np.concatenate([[0.0], np.linspace(0.001, 0.999, 999), [1.0]])
+        return ScoreModel(
+            knot=knot, log_odds=_logit(np.clip(knot, 1e-4, 1 - 1e-4)), base_rate=base_rate
+        )
+
+    @staticmethod
+    def uninformative() -> ScoreModel:
+        """Whatever the score, it says nothing."""
+        return ScoreModel(knot=np.zeros(1), log_odds=np.zeros(1), base_rate=0.5)
+
+    @staticmethod
+    def fit_logistic(score: ArrayLike, true: ArrayLike, scale: Scale = "score") -> ScoreModel:
+        """Log-odds linear in the score, by maximum likelihood.
+
+        score (N,), true (N,) : whether each detection came from an object.  Platt's targets
+        (Advances in Large Margin Classifiers, 1999) keep a separable sample finite.
+        """
+        x, y = _sample(score, true)
+        positive, negative = y.sum(), len(y) - y.sum()
+        target = np.where(y > 0, (positive + 1) / (positive + 2), 1 / (negative + 2))
+        spread = max(float(x.std()), 1e-12)
+        design = np.column_stack([np.ones(len(x)), (x - x.mean()) / spread])
+        weight = np.zeros(2)
+        for _ in range(50):
+            q = _logistic(design @ weight)
+            curvature = design.T @ (design * (q * (1 - q))[:, None]) + 1e-9 * np.eye(2)
+            step = np.linalg.solve(curvature, design.T @ (target - q))
+            weight = weight + step
+            if np.abs(step).max() < 1e-10:
+                break
+        knot = np.unique([x.min(), x.max()])
+        return ScoreModel(
+            knot=knot,
+            log_odds=weight[0] + weight[1] * (knot - x.mean()) / spread,
+            base_rate=_base_rate(y),
+            scale=scale,
+        )
+
+    @staticmethod
+    def fit_isotonic(
+        score: ArrayLike, true: ArrayLike, scale: Scale = "score", bins: int = 30
+    ) -> ScoreModel:
+        """The rising curve nearest to the shares of true detections in bins of equal counts, by
+        pooling neighbours that fall (Ayer et al., Annals of Mathematical Statistics 26, 1955)."""
+        x, y = _sample(score, true)
+        order = np.argsort(x, kind="stable")
+        blocks: list[list[float]] = []
+        for rows in np.array_split(order, min(bins, len(order))):
+            blocks.append([float(y[rows].sum()), float(len(rows)), float(x[rows].sum())])
+            while len(blocks) > 1 and _falls(blocks[-2], blocks[-1]):
+                last = blocks.pop()
+                blocks[-1] = [a + b for a, b in zip(blocks[-1], last, strict=True)]
+        true_count, count, total = np.array(blocks).T
+        knot = total / count
+        log_odds = _logit((true_count + 0.5) / (count + 1))
+        rising = np.concatenate([[True], np.diff(knot) > 0])
+        return ScoreModel(
+            knot=knot[rising],
+            log_odds=np.maximum.accumulate(log_odds)[rising],
+            base_rate=_base_rate(y),
+            scale=scale,
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as TOML."""
+        Path(path).write_text(
+            "# Calibrated log-odds of a detection being true, over its score.\n"
+            f'scale = "{self.scale}"\n'
+            f"base_rate = {self.base_rate!r}\n"
+            f"knot = {self.knot.tolist()!r}\n"
+            f"log_odds = {self.log_odds.tolist()!r}\n",
+            encoding="utf-8",
+        )
+
+    @staticmethod
+    def load(path: str | Path) -> ScoreModel:
+        """Read a model; raises InputError, naming file and key, where it cannot be used."""
+        try:
+            values: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise InputError(f"score model cannot be read: {error}", file=path) from None
+        known = ("scale", "base_rate", "knot", "log_odds")
+        for name in values:
+            if name not in known:
+                raise InputError(
+                    "unknown key", file=path, field=name, hint=nearest_hint(name, known, "key")
+                )
+        missing = [name for name in known[1:] if name not in values]
+        if missing:
+            raise InputError("missing key", file=path, field=missing[0])
+        try:
+            return ScoreModel(**values)
+        except InputError as error:
+            raise error.located(file=path) from None
+
+
+def _logistic(x: FloatArray) -> FloatArray:
+    with np.errstate(over="ignore"):
+        return 1.0 / (1.0 + np.exp(-x))
+
+
+def _logit(q: Any) -> Any:
+    return np.log(q) - np.log1p(-q)
+
+
+def _base_rate(y: FloatArray) -> float:
+    return float(np.clip(y.mean(), _SURE, 1 - _SURE))
+
+
+def _falls(left: list[float], right: list[float]) -> bool:
+    return left[0] / left[1] >= right[0] / right[1]
+
+
+def _sample(score: ArrayLike, true: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    x, y = np.asarray(score, dtype=np.float64), np.asarray(true, dtype=np.float64)
+    if x.ndim != 1 or not len(x) or not np.isfinite(x).all():
+        raise InputError("fitting a score model", field="score", expected="N > 0 finite numbers")
+    if y.shape != x.shape or not np.isin(y, (0, 1)).all():
+        raise InputError(
+            "fitting a score model", field="true", expected=f"{len(x)} flags", got=f"{y.shape}"
+        )
+    return x, y
