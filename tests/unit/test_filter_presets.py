@@ -1,0 +1,212 @@
+"""The paper's deviations from the textbook filter, one by one, and what switches them off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmbm.errors import InputError
+from pmbm.filter import PMBMConfig, PMBMTracker
+from pmbm.filter.density import Density, Mixture
+from pmbm.filter.models import DetectionFromScores, Sensor
+from pmbm.filter.scan import Scan
+from pmbm.score import ScoreModel
+from pmbm.types import Detections
+
+
+def frames(seed, score=None, count=40, raw=None):
+    rng = np.random.default_rng(seed)
+    start, velocity = rng.uniform(-30, 30, (5, 2)), rng.normal(0, 6, (5, 2))
+    for k in range(count):
+        z = np.concatenate(
+            [
+                (start + 0.1 * k * velocity)[rng.random(5) < 0.9],
+                rng.uniform(-50, 50, (rng.poisson(3), 2)),
+            ]
+        )
+        n = len(z)
+        yield Detections(
+            time=0.1 * k,
+            position=np.column_stack([z + rng.normal(0, 0.3, z.shape), np.ones(n)]),
+            size=np.ones((n, 3)),
+            yaw=np.zeros(n),
+            score=rng.random(n) if score is None else np.full(n, score),
+            label=np.zeros(n, int),
+            raw_score=None if raw is None else np.full(n, raw),
+        )
+
+
+def outputs(config, detections):
+    tracker = PMBMTracker(config)
+    return [tracker.step(one) for one in detections], tracker
+
+
+def assert_equal_bits(a, b):
+    for one, other in zip(a, b, strict=True):
+        assert one.id.tolist() == other.id.tolist()
+        for name in ("position", "velocity", "score", "covariance"):
+            assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
+
+
+PAPER_SCORES_ALONE = {"miss_rule": "bayes", "detection_from_scores": "off"}
+
+
+def test_scores_that_say_nothing_give_the_textbook_bit_for_bit():
+    seen = list(frames(0, score=0.5))
+    textbook, _ = outputs(PMBMConfig.textbook(), seen)
+    paper, _ = outputs(PMBMConfig.paper(**PAPER_SCORES_ALONE), seen)
+    everywhere, _ = outputs(PMBMConfig.textbook(scores="everywhere"), seen)
+    assert sum(map(len, textbook)) > 50
+    assert_equal_bits(paper, textbook)
+    assert_equal_bits(everywhere, textbook)
+    dull = PMBMConfig.paper(score_model=ScoreModel.uninformative(), **PAPER_SCORES_ALONE)
+    random_scores = list(frames(1))
+    assert_equal_bits(
+        outputs(dull, random_scores)[0], outputs(PMBMConfig.textbook(), random_scores)[0]
+    )
+
+
+def test_scores_that_say_something_change_the_outcome():
+    seen = list(frames(1))
+    textbook, _ = outputs(PMBMConfig.textbook(), seen)
+    for changes in (
+        {"scores": "first"},
+        {"scores": "everywhere"},
+        {"miss_rule": "scaled"},
+        {"detection_from_scores": "rising"},
+        {"detection_from_scores": "falling"},
+    ):
+        other, _ = outputs(PMBMConfig.textbook(**changes), seen)
+        with pytest.raises(AssertionError):
+            assert_equal_bits(other, textbook)
+
+
+@pytest.mark.parametrize("score", [0.2, 0.9, 0.0, 1.0])
+def test_a_first_detection_by_the_papers_rule(score):
+    """r = s e / (s e + (1 - s) lambda_c)."""
+    one = next(iter(frames(2, score=score)))
+    plain, textbook = outputs(PMBMConfig.textbook(recycle_below=0.0), [one])
+    _, paper = outputs(PMBMConfig.paper(recycle_below=0.0, **PAPER_SCORES_ALONE), [one])
+    s = np.clip(score, 1e-3, 1 - 1e-3)
+    r = textbook.density.local.existence
+    odds = r / (1 - r) * s / (1 - s)
+    assert paper.density.local.existence == pytest.approx(odds / (1 + odds), rel=1e-6)
+    assert len(plain[0]) <= len(one)
+
+
+def test_the_papers_weight_of_a_first_detection():
+    """2 (s e + (1 - s) lambda_c); all other branches unscaled."""
+    from pmbm.filter.association import associate
+
+    ppp = Mixture(np.log([0.4]), np.zeros((1, 4)), np.diag([9.0, 9, 1, 1])[None])
+    sensor = Sensor(0.1 * np.eye(2), 0.9, 0.02)
+    scan = Scan.of_positions([[0.5, 0.0], [1.0, 1.0]])
+    s = np.array([0.3, 0.8])
+    scored = replace(scan, first=np.column_stack([2 * s, 2 * (1 - s)]))
+    start = Density.initial(ppp)
+    plain, paper = (
+        associate(start, one, sensor, gate_threshold=20, max_hypotheses=9) for one in (scan, scored)
+    )
+    e = np.exp(plain.log_first)
+    assert np.exp(paper.log_new) == pytest.approx(2 * (s * e + (1 - s) * 0.02))
+    assert np.exp(plain.log_new) == pytest.approx(e + 0.02)
+
+
+def test_likelihood_ratios_speak_in_every_branch():
+    """Weights and existence as if e and the track's likelihood were multiplied by the ratio."""
+    from pmbm.filter.association import associate
+    from pmbm.filter.models import Transition, constant_velocity
+    from pmbm.filter.prediction import predict
+    from pmbm.filter.update import update
+
+    ppp = Mixture(np.log([0.4]), np.zeros((1, 4)), np.diag([9.0, 9, 1, 1])[None])
+    sensor = Sensor(0.1 * np.eye(2), 0.9, 0.02)
+    first = Scan.of_positions([[0.5, 0.0]])
+    start = Density.initial(ppp)
+    found = associate(start, first, sensor, gate_threshold=20, max_hypotheses=9)
+    prior = predict(
+        update(start, first, found, sensor),
+        Transition(*constant_velocity(0.1, 1.0), 0.99),
+        Mixture.empty(),
+    )
+    scan = Scan.of_positions([[0.6, 0.1]])
+    scored = replace(scan, evidence=np.array([[4.0]]))
+    plain, paper = (
+        associate(prior, one, sensor, gate_threshold=20, max_hypotheses=9) for one in (scan, scored)
+    )
+    assert paper.known.log_weight == pytest.approx(plain.known.log_weight + math.log(4))
+    assert paper.log_first == pytest.approx(plain.log_first + math.log(4))
+    assert np.exp(paper.log_new) == pytest.approx(4 * np.exp(plain.log_first) + 0.02)
+    assert paper.log_missed == pytest.approx(plain.log_missed, abs=0)
+
+
+def test_two_rules_for_a_miss():
+    r, P_D = np.array([0.5, 1.0, 0.0]), np.array([0.9, 0.8, 0.7])
+    bayes = Sensor(np.eye(2), 0.9, 0.1).missed(r, P_D)
+    scaled = Sensor(np.eye(2), 0.9, 0.1, scaled_misses=True).missed(r, P_D)
+    assert bayes[0] == pytest.approx([0.05 / 0.55, 1.0, 0.0])
+    assert bayes[1] == pytest.approx([0.55, 0.2, 1.0])
+    assert scaled[0] == pytest.approx([0.05, 0.2, 0.0])
+    assert scaled[1] == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_detection_probability_from_past_scores():
+    rising = DetectionFromScores(0.6, 0.9, rising=True, newest=0.3)
+    falling = replace(rising, rising=False)
+    assert rising.of(np.array([0.0, 0.5, 1.0])) == pytest.approx([0.6, 0.75, 0.9])
+    assert falling.of(np.array([0.0, 0.5, 1.0])) == pytest.approx([0.9, 0.75, 0.6])
+    sensor = Sensor(np.eye(2), 0.9, 0.1, from_scores=rising)
+    remembered = sensor.remembered(np.array([0.5]), np.array([0.1, 1.0]), np.array([1]))
+    assert remembered == pytest.approx([0.65])
+
+
+@pytest.mark.parametrize("rule", ["rising", "falling"])
+def test_a_clear_track_survives_misses_shorter_or_longer(rule):
+    lifetimes = {}
+    for score in (0.05, 0.95):
+        config = PMBMConfig.textbook(detection_from_scores=rule, scores="ignore")
+        tracker = PMBMTracker(config)
+        for k in range(10):
+            one = Detections(
+                time=0.1 * k,
+                position=[[10.0, 0, 1]],
+                size=[[4, 2, 1.5]],
+                yaw=[0.0],
+                score=[score],
+                label=[0],
+            )
+            tracker.step(one)
+        gone = 0
+        while len(tracker.step(Detections.empty(1.0 + 0.1 * gone))):
+            gone += 1
+        lifetimes[score] = gone
+    assert (lifetimes[0.95] < lifetimes[0.05]) == (rule == "rising")
+
+
+def test_raw_scores_are_read_where_the_model_asks_for_them():
+    model = ScoreModel(knot=[-5.0, 5.0], log_odds=[-5.0, 5.0], base_rate=0.5, scale="raw_score")
+    config = PMBMConfig.textbook(scores="everywhere", score_model=model)
+    with_raw = list(frames(4, score=0.1, raw=0.0))
+    assert_equal_bits(outputs(config, with_raw)[0], outputs(PMBMConfig.textbook(), with_raw)[0])
+    with pytest.raises(InputError, match="raw_score"):
+        outputs(config, frames(4))
+
+
+def test_presets_take_changes_and_refuse_nonsense():
+    assert PMBMConfig.paper(gate=9.0).gate == 9.0
+    assert PMBMConfig.textbook().miss_rule == "bayes"
+    for bad in (
+        {"scores": "fist"},
+        {"miss_rule": "none"},
+        {"detection_from_scores": True},
+        {"score_model": 0.5},
+        {"detection_low": 0.99, "detection_high": 0.5},
+    ):
+        with pytest.raises(InputError) as caught:
+            PMBMConfig(**bad)
+        assert next(iter(bad)) in str(caught.value)
+    with pytest.raises(InputError, match="did you mean 'first'"):
+        PMBMConfig(scores="fist")
