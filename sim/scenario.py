@@ -163,7 +163,48 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         if text not in names:
             raise InputError(f"no scenario '{text}'", hint=nearest_hint(text, names, "scenario"))
         path = catalogue_folder() / f"{text}.toml"
-    return Scenario(read_toml(path), str(path))
+    return Scenario(_extended(read_toml(path), str(path)), str(path))
+
+
+_OWN_KEYS = ("name", "stresses", "extends", "sweep", "check")
+"""What a file never takes over from the one that it extends."""
+
+
+def _extended(document: dict[str, Any], file: str) -> dict[str, Any]:
+    """The document laid over that of the scenario which it extends, table by table."""
+    if "extends" not in document:
+        return document
+    base_name, names = document["extends"], scenario_names()
+    if base_name not in names:
+        raise InputError(
+            "extends no scenario of the catalogue",
+            file=file,
+            field="extends",
+            got=base_name,
+            hint=nearest_hint(base_name, names, "scenario"),
+        )
+    base_file = catalogue_folder() / f"{base_name}.toml"
+    base = read_toml(base_file)
+    if "extends" in base:
+        raise InputError(
+            "extends a scenario that itself extends another",
+            file=file,
+            field="extends",
+            got=base_name,
+            hint=f"extend '{base['extends']}'",
+        )
+    merged = {key: value for key, value in base.items() if key not in _OWN_KEYS}
+    return _merge(merged, {key: value for key, value in document.items() if key != "extends"})
+
+
+def _merge(under: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(under)
+    for key, value in over.items():
+        below = merged.get(key)
+        if isinstance(below, dict) and isinstance(value, dict):
+            value = _merge(below, value)
+        merged[key] = value
+    return merged
 
 
 def scenario_names() -> tuple[str, ...]:

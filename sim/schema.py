@@ -206,6 +206,10 @@ class Track(Path, Body):
     despawn: Positive | None = None
     count: Annotated[int, Field(ge=0, le=5000)] = 1
     offset: Point = Field(default=[0.0, 5.0], description="dx, dy from one copy to the next")
+    per_row: Annotated[int, Field(ge=1)] | None = Field(
+        default=None, description="so many copies in line, then a new row begins"
+    )
+    row_offset: Point = Field(default=[0.0, 8.0], description="dx, dy from one row to the next")
     jitter: PathJitter = PathJitter()
 
 
@@ -313,6 +317,13 @@ def parse(document: dict[str, Any], file: object = None) -> ScenarioForm:
 def json_schema() -> dict[str, Any]:
     """The JSON Schema of scenario files, for editors."""
     schema = ScenarioForm.model_json_schema()
+    schema["properties"]["extends"] = {
+        "type": "string",
+        "description": "a scenario of the catalogue: its tables lie under those of this file",
+    }
+    # What a file leaves out it may have from the one that it extends.
+    schema["required"] = ["name", "stresses"]
+    schema["anyOf"] = [{"required": ["scene"]}, {"required": ["extends"]}]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
@@ -330,6 +341,8 @@ def _explain(error: ValidationError, file: object) -> InputError:
     kind = problem["type"]
     if kind == "extra_forbidden":
         valid = _valid_keys(problem["loc"][:-1])
+        if len(keys) == 1:
+            valid.append("extends")
         return InputError(
             f"unknown key '{keys[-1]}'", **place, hint=nearest_hint(keys[-1], valid, "key")
         )

@@ -55,11 +55,16 @@ def track_trajectories(
     for copy in range(track.count):
         sway = 2 * own_stream(streams, f"{name}:{copy}").random(5) - 1
         jitter = track.jitter
+        row, column = divmod(copy, track.per_row or track.count)
+        x, y = (
+            track.start[axis] + column * track.offset[axis] + row * track.row_offset[axis]
+            for axis in (0, 1)
+        )
         path = track.model_copy(
             update={
                 "start": [
-                    track.start[0] + copy * track.offset[0] + jitter.x * sway[0],
-                    track.start[1] + copy * track.offset[1] + jitter.y * sway[1],
+                    x + jitter.x * sway[0],
+                    y + jitter.y * sway[1],
                 ],
                 "yaw_deg": track.yaw_deg + jitter.yaw_deg * sway[2],
                 "speed": max(track.speed + jitter.speed * sway[3], 0.0),
