@@ -30,13 +30,12 @@ def field_of_view(site: Site, pose: ArrayLike) -> shapely.Geometry:
 
 
 def shadow(polygon: ArrayLike, eye: ArrayLike, reach: float) -> shapely.Geometry:
-    """The region behind a convex polygon (V,2), the polygon itself included, seen from `eye` (2,),
-    out to at least `reach` m; empty where the polygon contains the eye.
+    """The region behind a convex polygon (V,2) seen from `eye` (2,), from the line between the
+    polygon's outermost corners out to at least `reach` m; empty where the polygon contains the eye.
     """
     ring = np.asarray(polygon, dtype=np.float64)
     x, y = np.asarray(eye, dtype=np.float64)
-    outline = shapely.Polygon(ring)
-    if shapely.intersects_xy(outline, x, y):
+    if shapely.intersects_xy(shapely.Polygon(ring), x, y):
         return shapely.Polygon()
     angle = np.arctan2(ring[:, 1] - y, ring[:, 0] - x)
     offset = wrap_angle(angle - angle[0])
@@ -46,8 +45,7 @@ def shadow(polygon: ArrayLike, eye: ArrayLike, reach: float) -> shapely.Geometry
     far = angle[0] + np.linspace(offset[low], offset[high], steps + 1)
     distance = reach / np.cos(sweep / steps / 2)
     arc = np.column_stack([x + distance * np.cos(far), y + distance * np.sin(far)])
-    behind = shapely.Polygon(np.vstack([ring[low], arc, ring[high]]))
-    return shapely.union(shapely.make_valid(behind), outline)
+    return shapely.make_valid(shapely.Polygon(np.vstack([ring[low], arc, ring[high]])))
 
 
 def hidden_region(truth: GroundTruth, site: Site, pose: ArrayLike) -> shapely.Geometry:

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 from browser import chromium, needs_chromium
-from traffic import recording, tracks
+from traffic import hidden_mixture, recording, tracks
 
 from pmbm.metrics import evaluate
 from pmbm.study import TrialResult, summarise
@@ -246,7 +246,7 @@ def test_hovering_tells_the_details(plain):
 
 def test_a_drawn_rectangle_counts_hidden_objects(plain):
     """The browser's number against scipy's, for a rectangle that cuts through the components."""
-    from scipy.stats import norm
+    from scipy.stats import multivariate_normal
 
     box = [14.0, 16.0, 30.0, 26.0]
     counted = plain.execute_script(
@@ -257,10 +257,12 @@ def test_a_drawn_rectangle_counts_hidden_objects(plain):
         "return player.hidden(b)",
         box,
     )
-    share_x = norm.cdf((30 - 20) / 40**0.5) - norm.cdf((14 - 20) / 40**0.5)
-    share_y = norm.cdf((26 - 20) / 25**0.5) - norm.cdf((16 - 20) / 25**0.5)
+    behind = hidden_mixture().take([0])
+    share = multivariate_normal(behind.mean[0, :2], behind.cov[0, :2, :2]).cdf(
+        [30, 26], lower_limit=[14, 16]
+    )
     # The page keeps positions to 0.05 m and log weights to 0.005.
-    assert counted["expected"] == pytest.approx(0.5 * share_x * share_y, rel=0.02)
+    assert counted["expected"] == pytest.approx(0.5 * share, rel=0.02)
     assert counted["there"] == 0
 
 

@@ -222,10 +222,14 @@ def test_matching_by_hand():
         crashed=[False, False],
         **boxes([(0, 0), (20, 0)]),
     )
-    report = Tracks(time=0, id=[5, 6, 7], score=[1, 1, 1], **boxes([(3, 0), (1, 0), (20, 4)]))
+    report = Tracks(time=0, id=[5, 6], score=[1, 1], **boxes([(3, 0), (1, 0)]))
     is_track, is_object = matched(truth, report)
-    assert is_track.tolist() == [False, True, False]
+    assert is_track.tolist() == [False, True]
     assert is_object.tolist() == [True, False]
+    for y, near in ((3.999, True), (4.0, False)):
+        lone = Tracks(time=0, id=[7], score=[1], **boxes([(20, y)]))
+        is_track, is_object = matched(truth.take([1]), lone)
+        assert is_track.tolist() == is_object.tolist() == [near]
 
 
 def test_series_are_for_each_step():

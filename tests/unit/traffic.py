@@ -131,9 +131,11 @@ def tracks(recording, *, sloppy=False, undetected=False):
 
 
 def hidden_mixture():
-    """Half an object behind the truck, a fifth of one at the edge of the view."""
+    """Half an object behind the truck (x and y correlated), a fifth at the edge of the view."""
+    behind = np.diag([40.0, 25.0, 4.0, 4.0])
+    behind[0, 1] = behind[1, 0] = -18.0
     return GaussianMixture(
         log_weight=np.log([0.5, 0.2]),
         mean=[[20.0, 20.0, 0.0, 0.0], [-50.0, 0.0, 5.0, 0.0]],
-        cov=[np.diag([40.0, 25.0, 4.0, 4.0]), np.diag([25.0, 60.0, 4.0, 4.0])],
+        cov=[behind, np.diag([25.0, 60.0, 4.0, 4.0])],
     )
