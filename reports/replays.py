@@ -1,0 +1,62 @@
+"""One trial to look at: recorded again, tracked again, scored again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pmbm.metrics import evaluate
+from pmbm.study import Source, StepTime, TrialResult, summarise
+from pmbm.tracking import TrackerFactory, make_tracker, run, tracker_factory
+from reports.render import run_page
+from reports.values import Replay, Section
+
+
+def trial_replay(
+    source: Source,
+    trackers: Mapping[str, TrackerFactory | str],
+    seed: int,
+    trial: int,
+    *,
+    title: str = "",
+) -> tuple[Replay, TrialResult]:
+    """Record a trial and run trackers over it: what to look at, and the scores.
+
+    title : which trial it is, for people; by default its number and seed.
+    """
+    recording = source.record(seed, trial)
+    tracks, scores, series, times = {}, {}, {}, {}
+    for name, tracker in trackers.items():
+        factory = tracker_factory(tracker) if isinstance(tracker, str) else tracker
+        tracks[name] = run(make_tracker(factory, recording.site), recording)
+        found = evaluate(recording, tracks[name])
+        scores[name] = found.scalars()
+        series[name] = {key: v.series for key, v in found.items() if v.series is not None}
+        times[name] = StepTime.of(tracks[name].seconds)
+    result = TrialResult(source.name, seed, trial, recording.digest(), scores, times)
+    title = title or f"trial {trial} of seed {seed}"
+    return Replay(recording=recording, tracks=tracks, series=series, title=title), result
+
+
+def trial_page(
+    source: Source,
+    trackers: Mapping[str, TrackerFactory | str],
+    seed: int,
+    trial: int,
+    *,
+    title: str,
+    command: str,
+    stresses: str = "",
+) -> str:
+    """A page of one trial: its scores and its replay.
+
+    title : what it is, for people; command : what makes the page again.
+    """
+    replay, result = trial_replay(source, trackers, seed, trial)
+    section = Section(
+        name=source.name,
+        stresses=stresses,
+        summary=summarise([result]),
+        replay=replay,
+        provenance=replay.recording.provenance,
+    )
+    return run_page([section], title=title, command=command)
