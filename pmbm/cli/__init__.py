@@ -14,9 +14,13 @@ import click
 _COMMANDS = {
     "scenarios": "What ships, one line each; or one scenario in full.",
     "run": "One or a few trials of a scenario: a table and an HTML replay.",
+    "study": "A Monte Carlo study that can be resumed; trials over processes or a cluster.",
+    "digest": "One line that is equal where the results of two studies are equal.",
+    "report": "A study as one HTML file: verdicts, curves, worst trials to replay.",
     "gate": "Did the tracker get worse? Exit code 0: no, 1: yes, 3: undecided.",
     "track": "A tracker over a real dataset, output in that dataset's format.",
     "evaluate": "Any tracker's output, by the rules of the dataset it was made on.",
+    "cache": "The simulated scenes kept on disk: show, list, clear.",
 }
 """Name -> one-line help; `pmbm/cli/NAME.py` (dashes as underscores) holds `command`."""
 

@@ -2,6 +2,9 @@
 
 from pmbm.study.configured import ConfiguredTracker
 from pmbm.study.parallel import run_trials
+from pmbm.study.results import StudyResults, export, load_results
+from pmbm.study.runner import Progress, run_study
+from pmbm.study.store import read_store
 from pmbm.study.study import Cell, Study
 from pmbm.study.summary import Estimate, Summary, estimate, summarise
 from pmbm.study.trial import Source, StepTime, TrialResult, run_trial
@@ -10,12 +13,18 @@ __all__ = [
     "Cell",
     "ConfiguredTracker",
     "Estimate",
+    "Progress",
     "Source",
     "StepTime",
     "Study",
+    "StudyResults",
     "Summary",
     "TrialResult",
     "estimate",
+    "export",
+    "load_results",
+    "read_store",
+    "run_study",
     "run_trial",
     "run_trials",
     "summarise",

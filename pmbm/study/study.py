@@ -39,8 +39,7 @@ class Cell:
     @property
     def label(self) -> str:
         """The scenario and the point, for people."""
-        settings = ", ".join(f"{key} = {value}" for key, value in self.point.items())
-        return f"{self.scenario} [{settings}]" if settings else self.scenario
+        return cell_label(self.scenario, self.point)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -137,6 +136,12 @@ class Study:
     def hash(self) -> str:
         """SHA-256 of `document`."""
         return hashlib.sha256(canonical(self.document).encode()).hexdigest()
+
+
+def cell_label(scenario: str, point: Mapping[str, Any]) -> str:
+    """A scenario and a point of a sweep, for people."""
+    settings = ", ".join(f"{key} = {value}" for key, value in point.items())
+    return f"{scenario} [{settings}]" if settings else scenario
 
 
 def canonical(value: Any) -> str:

@@ -1,0 +1,192 @@
+"""`pmbm study`: a Monte Carlo study that survives whatever ends it."""
+
+from __future__ import annotations
+
+import shlex
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from pmbm.study import Progress, Study
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False), metavar="STUDY.toml")
+@click.option(
+    "--store",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Where results go; run again to resume.  [default: STUDY.sqlite]",
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, in place of --jobs.")
+@click.option("--dry-run", is_flag=True, help="Count the trials and estimate the time.")
+@click.option("--replay", type=click.IntRange(min=0), metavar="INDEX", help="Show one trial.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("reports"),
+    show_default=True,
+    help="Folder for a replay.",
+)
+@click.option(
+    "--export",
+    "export_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write the scores as .csv or .parquet when done.",
+)
+def command(
+    file: Path,
+    store: Path | None,
+    jobs: int,
+    scheduler: str | None,
+    dry_run: bool,
+    replay: int | None,
+    out: Path,
+    export_file: Path | None,
+) -> int:
+    """Run a study; run it again to resume.  Exit code 1 where trials failed.
+
+    \b
+    Examples:
+      pmbm study night.toml --jobs 4
+      pmbm study night.toml --dry-run
+      pmbm study night.toml --replay 17
+      pmbm study night.toml --scheduler tcp://10.0.0.1:8786 --export night.csv
+    """
+    from pmbm.cli.sources import resolve
+    from pmbm.study import Study, run_study
+
+    study = Study.load(file, resolve)
+    store = store or file.with_suffix(".sqlite")
+    if replay is not None:
+        return _replay(study, file, replay, out)
+    if dry_run:
+        _estimate(study, store, jobs)
+        return 0
+    with _interrupted_by_term(), _progress(study) as tell:
+        try:
+            done = run_study(study, store, jobs=jobs, scheduler=scheduler, tell=tell)
+        except KeyboardInterrupt:
+            again = shlex.join(["pmbm", "study", str(file), "--store", str(store)])
+            click.echo(f"pmbm: stopped; what is done is stored, resume with: {again}", err=True)
+            return 130
+    return _finish(study, file, store, done, export_file)
+
+
+def _finish(study: Study, file: Path, store: Path, done: Progress, export_file: Path | None) -> int:
+    from pmbm.study import export, load_results
+
+    for index in done.damaged:
+        click.echo(f"trial {index} was damaged in the store and was run again", err=True)
+    results = load_results(store)
+    for row in results.failures.itertuples():
+        label = results.cells["label"].tolist()[int(row.cell)]
+        again = shlex.join(["pmbm", "study", str(file), "--replay", str(row.index)])
+        click.echo(f"{row.outcome}: trial {row.trial} of {label}: {row.error}; replay: {again}")
+    click.echo(f"{store}: {done.done} trials, {done.failed} failed, digest {results.digest}")
+    if export_file is not None:
+        export(results, export_file)
+    return 1 if done.failed else 0
+
+
+def _estimate(study: Study, store: Path, jobs: int) -> None:
+    """Count what is left, and time a trial of up to three cells where nothing is stored yet."""
+    import time
+
+    from pmbm.study import load_results
+
+    done, seconds = 0, []
+    if store.exists():
+        results = load_results(store)
+        done = results.done
+        seconds = results.outcomes["seconds"].dropna().tolist()
+    if not seconds:
+        for index in range(min(3, len(study.cells))):
+            start = time.perf_counter()
+            study.run(index)
+            seconds.append(time.perf_counter() - start)
+    each = sum(seconds) / len(seconds)
+    left = max(len(study) - done, 0)
+    click.echo(
+        f"{len(study)} trials ({len(study.cells)} cells x {study.trials}), {done} stored, "
+        f"{left} to run: about {_duration(left * each / jobs)} with {jobs} "
+        f"process{'es' if jobs > 1 else ''} ({each:.2g} s a trial)"
+    )
+
+
+def _duration(seconds: float) -> str:
+    for size, unit in ((86400, "days"), (3600, "h"), (60, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def _replay(study: Study, file: Path, index: int, out: Path) -> int:
+    """Run one trial here and write its replay as a page."""
+    from pmbm.errors import InputError
+    from reports.replays import trial_page
+
+    if index >= len(study):
+        raise InputError(
+            "no such trial", field="--replay", expected=f"0 to {len(study) - 1}", got=index
+        )
+    cell, trial = study.cell(index), study.trial(index)
+    command = shlex.join(["pmbm", "study", str(file), "--replay", str(index)])
+    target = out / f"{study.name}-{index}.html"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    page = trial_page(
+        cell.source, cell.trackers, study.seed, trial, title=cell.label, command=command
+    )
+    target.write_text(page, encoding="utf-8")
+    click.echo(f"trial {trial} of {cell.label}: {target}")
+    return 0
+
+
+@contextmanager
+def _progress(study: Study) -> Iterator[Any]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(study.name, total=len(study))
+
+        def tell(progress: Any) -> None:
+            name = study.name
+            if progress.failed:
+                name += f" ({progress.failed} failed)"
+            bar.update(task, completed=progress.done, description=name)
+
+        yield tell
+
+
+@contextmanager
+def _interrupted_by_term() -> Iterator[None]:
+    """Treat a request to terminate as an interrupt, so that no worker stays behind."""
+
+    def stop(_signal: int, _frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
