@@ -21,6 +21,7 @@ from pmbm.geometry import corners
 from pmbm.provenance import provenance
 from pmbm.types import FloatArray, Recording, Site
 from sim import schema, scripted
+from sim.cache import cached
 from sim.scene import Scene
 from sim.streams import Streams
 from sim.toml_door import read_toml
@@ -236,10 +237,13 @@ def check_seed(seed: int, trial: int) -> None:
 
 @functools.lru_cache(maxsize=8)
 def _scene(key: str, name: str, seed: int, trial: int) -> Scene:
-    """Simulate the scene described by `key` (JSON of the document's scene part)."""
+    """The scene described by `key` (JSON of the document's scene part), simulated at most once."""
     document = json.loads(key)
     form = schema.parse({"name": name, "stresses": "its own truth", **document})
-    return simulate(form, seed, trial)
+    if isinstance(form.scene, schema.ScriptedScene):
+        # As quickly made as read.
+        return simulate(form, seed, trial)
+    return cached(name, key, seed, trial, lambda: simulate(form, seed, trial))
 
 
 def simulate(form: schema.ScenarioForm, seed: int, trial: int = 0) -> Scene:

@@ -6,24 +6,12 @@ python tests/scenarios/hashes.py        writes those of this machine into hashes
 from __future__ import annotations
 
 import json
-import platform
 from pathlib import Path
 
-import numpy as np
-
-from pmbm.provenance import platform_key
+from sim.cache import bits_key
 
 FILE = Path(__file__).with_name("hashes.json")
 SEED = 0
-
-
-def bits_key() -> str:
-    """Machines of equal keys compute equal bits: the platform, and what numpy's kernels use."""
-    from numpy._core._multiarray_umath import __cpu_features__ as features
-
-    wide = [name for name in ("AVX2", "AVX512F", "AVX512_SKX", "ASIMD") if features.get(name)]
-    python = ".".join(platform.python_version_tuple()[:2])
-    return "-".join([platform_key(), f"python{python}", f"numpy{np.__version__}", *wide])
 
 
 def digests(name: str) -> dict[str, str]:
