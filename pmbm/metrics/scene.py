@@ -233,7 +233,8 @@ def check_increasing(time: FloatArray, what: str) -> None:
 def _truth_boxes(frames: Sequence[GroundTruth]) -> Boxes:
     rows = sum(map(len, frames))
     columns = _columns(frames)
-    return _sorted_boxes(
+    return sorted_boxes(
+        "truth",
         **columns,
         score=np.ones(rows),
         observable=_joined([frame.observable for frame in frames], (0,), np.bool_),
@@ -248,7 +249,8 @@ def _track_boxes(frames: Sequence[Tracks]) -> Boxes:
         np.full((len(frame), 4, 4), np.nan) if frame.covariance is None else frame.covariance
         for frame in frames
     ]
-    return _sorted_boxes(
+    return sorted_boxes(
+        "tracks",
         **columns,
         score=_joined([frame.score for frame in frames], (0,), np.float64),
         observable=np.ones(rows, np.bool_),
@@ -272,6 +274,35 @@ def _joined(arrays: list[Any], empty: tuple[int, ...], dtype: type) -> NDArray[A
     return np.concatenate(arrays) if arrays else np.zeros(empty, dtype)
 
 
-def _sorted_boxes(**columns: NDArray[Any]) -> Boxes:
+def sorted_boxes(what: str = "boxes", **columns: NDArray[Any]) -> Boxes:
+    """One side from tables in any order of rows: sorted by frame, then id.
+
+    columns : those of `Boxes`.  Raises InputError, naming the frame and the id, for an id that
+    comes twice in a frame, and for numbers that are not finite.
+    """
     order = np.lexsort((columns["id"], columns["frame"]))
-    return Boxes(**{name: column[order] for name, column in columns.items()})
+    boxes = Boxes(**{name: column[order] for name, column in columns.items()})
+    same = (np.diff(boxes.frame) == 0) & (np.diff(boxes.id) == 0)
+    if same.any():
+        row = int(np.flatnonzero(same)[0])
+        raise InputError(
+            f"{what}: an id twice in a frame",
+            frame=int(boxes.frame[row]),
+            object_id=int(boxes.id[row]),
+            field="id",
+            rows=np.sort(order[row : row + 2]),
+        )
+    for name in ("position", "size", "yaw", "velocity", "score"):
+        values = getattr(boxes, name)
+        bad = np.unique(np.nonzero(~np.isfinite(values))[0])
+        if len(bad):
+            raise InputError(
+                f"{what}: bad {name}",
+                frame=int(boxes.frame[bad[0]]),
+                object_id=int(boxes.id[bad[0]]),
+                field=name,
+                rows=np.sort(order[bad]),
+                expected="finite numbers",
+                got=values[bad[0]],
+            )
+    return boxes

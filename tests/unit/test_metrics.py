@@ -11,6 +11,7 @@ from metric_builders import recording_of, run_of, tracks_frame, truth_frame
 from pmbm.errors import InputError
 from pmbm.labels import Label
 from pmbm.metrics import MetricParameters, combine, evaluate, gospa, ospa
+from pmbm.metrics.scene import sorted_boxes
 from pmbm.types import TrackSequence
 
 CAR, OTHER_CAR, THIRD_CAR = 1, 2, 3
@@ -346,6 +347,40 @@ def test_unordered_times_are_refused_and_named():
     with pytest.raises(InputError, match="must increase") as caught:
         evaluate(recording, [reports[0], reports[2], reports[1]])
     assert caught.value.frame == 2
+
+
+def boxes(**changes):
+    columns = {
+        "frame": np.array([1, 0, 1]),
+        "id": np.array([5, 5, 4]),
+        "position": np.zeros((3, 3)),
+        "size": np.ones((3, 3)),
+        "yaw": np.zeros(3),
+        "velocity": np.zeros((3, 2)),
+        "label": np.zeros(3, np.int8),
+        "score": np.ones(3),
+        "observable": np.ones(3, np.bool_),
+        "covariance": np.full((3, 4, 4), np.nan),
+    }
+    return sorted_boxes("truth", **{**columns, **changes})
+
+
+def test_tables_are_sorted_by_frame_and_id():
+    assert boxes().frame.tolist() == [0, 1, 1]
+    assert boxes().id.tolist() == [5, 4, 5]
+
+
+def test_an_id_twice_in_a_frame_is_refused_and_named():
+    with pytest.raises(InputError, match="twice in a frame") as caught:
+        boxes(id=np.array([5, 5, 5]))
+    assert (caught.value.frame, caught.value.object_id) == (1, 5)
+    assert caught.value.rows == (0, 2)
+
+
+def test_numbers_that_are_not_finite_are_refused_and_named():
+    with pytest.raises(InputError, match="bad yaw") as caught:
+        boxes(yaw=np.array([np.nan, 0.0, 0.0]))
+    assert (caught.value.frame, caught.value.object_id, caught.value.rows) == (1, 5, (0,))
 
 
 def test_impossible_parameters_are_refused():
