@@ -28,7 +28,7 @@ from reports.tables import (
     shown_metric,
     words,
 )
-from reports.values import CellResults, StudyResults
+from reports.values import CellResults, StudyReport
 
 CURVE_METRICS = (
     "gospa",
@@ -101,10 +101,10 @@ class _ScenarioView:
 class _WorstView:
     why: str
     command: str
-    replay: ReplayView
+    replay: ReplayView | None
 
 
-def study_page(study: StudyResults) -> str:
+def study_page(study: StudyReport) -> str:
     """The study as one HTML file that opens from disk."""
     summaries = _summaries(study)
     metric = leading_metric(summaries)
@@ -120,14 +120,17 @@ def study_page(study: StudyResults) -> str:
         reference=summaries[0].reference if summaries else "",
         scenarios=tuple(_scenarios(study, metric)),
         timings=_timings(study),
-        worst=tuple(_WorstView(w.why, w.command, replay_view(w.replay)) for w in study.worst),
+        worst=tuple(
+            _WorstView(w.why, w.command, replay_view(w.replay) if w.replay else None)
+            for w in study.worst
+        ),
         failures=study.failures,
         facts=facts(study.provenance),
         layers=LAYERS,
     )
 
 
-def study_markdown(study: StudyResults) -> str:
+def study_markdown(study: StudyReport) -> str:
     """The verdicts, the leading metrics and the failures, for a pull request."""
     summaries = _summaries(study)
     lines = [f"### {_plain(study.name)}", "", _plain(_lede(study, summaries)), ""]
@@ -136,13 +139,13 @@ def study_markdown(study: StudyResults) -> str:
         lines += ["", *_markdown_tables(study, summaries)]
     if study.failures:
         rows = [(f.trial, f.what, f.command) for f in study.failures]
-        lines += ["", markdown_table(["trial without result", "what happened", "replay"], rows)]
+        lines += ["", markdown_table(["trial without result", "what happened", "replay"], rows, 3)]
     for what, command in study.commands.items():
         lines += ["", f"{what}:", "", f"    {' '.join(command.split())}"]
     return "\n".join(lines) + "\n"
 
 
-def findings(study: StudyResults) -> tuple[Finding, ...]:
+def findings(study: StudyReport) -> tuple[Finding, ...]:
     """One finding per scenario and compared tracker, on the leading metric.
 
     A cell counts where the paired t test, adjusted by Holm (Scand. J. Statist. 6, 1979) over all
@@ -242,22 +245,22 @@ def _interval(difference: Estimate, unit: str) -> str:
     return f"{text.mean}{half} {unit}".strip()
 
 
-def _by_scenario(study: StudyResults) -> Iterable[tuple[str, list[CellResults]]]:
+def _by_scenario(study: StudyReport) -> Iterable[tuple[str, list[CellResults]]]:
     order = list(dict.fromkeys(cell.scenario for cell in study.cells))
     cells = sorted(study.cells, key=lambda cell: order.index(cell.scenario))
     for name, group in groupby(cells, key=lambda cell: cell.scenario):
         yield name, list(group)
 
 
-def _summary(study: StudyResults, cell: CellResults) -> Summary | None:
+def _summary(study: StudyReport, cell: CellResults) -> Summary | None:
     return summarise(cell.results, study.reference) if cell.results else None
 
 
-def _summaries(study: StudyResults) -> list[Summary]:
+def _summaries(study: StudyReport) -> list[Summary]:
     return [s for cell in study.cells if (s := _summary(study, cell))]
 
 
-def _lede(study: StudyResults, summaries: Sequence[Summary]) -> str:
+def _lede(study: StudyReport, summaries: Sequence[Summary]) -> str:
     trackers = list(dict.fromkeys(name for s in summaries for name in s.trackers))
     parts = [f"{study.done} of {study.planned} trials"]
     if len(study.cells) > 1:
@@ -268,7 +271,7 @@ def _lede(study: StudyResults, summaries: Sequence[Summary]) -> str:
     return "; ".join(parts) + "."
 
 
-def _scenarios(study: StudyResults, metric: str) -> Iterable[_ScenarioView]:
+def _scenarios(study: StudyReport, metric: str) -> Iterable[_ScenarioView]:
     for name, cells in _by_scenario(study):
         filled = [(cell, s) for cell in cells if (s := _summary(study, cell))]
         if not filled:
@@ -369,7 +372,7 @@ def _stack(label: str, tracker: int, means: Sequence[float], longest: float) -> 
     return _Stack(label, tracker, parts, total)
 
 
-def _timings(study: StudyResults) -> tuple[tuple[str, str, str, str, str], ...]:
+def _timings(study: StudyReport) -> tuple[tuple[str, str, str, str, str], ...]:
     """Per scenario and tracker: mean, median and 99th percentile of a step's CPU time, ms."""
     rows = []
     for name, cells in _by_scenario(study):
@@ -385,7 +388,7 @@ def _timings(study: StudyResults) -> tuple[tuple[str, str, str, str, str], ...]:
     return tuple(rows)  # type: ignore[arg-type]
 
 
-def _markdown_tables(study: StudyResults, summaries: Sequence[Summary]) -> list[str]:
+def _markdown_tables(study: StudyReport, summaries: Sequence[Summary]) -> list[str]:
     first = summaries[0]
     measured = [m for m in MAIN_METRICS if m in first.metrics] or list(first.metrics)
     header = ["setting", "metric", *first.trackers]
@@ -401,7 +404,7 @@ def _markdown_tables(study: StudyResults, summaries: Sequence[Summary]) -> list[
                 numbers = [_cell_text(text) for text in row.cells]
                 numbers += [_cell_text(d.text if d else None) for d in row.differences]
                 rows.append([setting, f"{row.name} {row.arrow}".strip(), *numbers])
-    return [markdown_table(header, rows)]
+    return [markdown_table(header, rows, 2)]
 
 
 def _cell_text(text: Any) -> str:

@@ -218,9 +218,9 @@ def _signed(text: str, signed: bool) -> str:
     return text.replace("-", "−")
 
 
-def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table; bars in cells are escaped."""
-    lines = [header, ["---", *["--:"] * (len(header) - 1)], *rows]
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> str:
+    """A Markdown table; the first `words` columns are text, the others numbers."""
+    lines = [header, ["---" if k < words else "--:" for k in range(len(header))], *rows]
     return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines)
 
 

@@ -96,15 +96,16 @@ class Failure:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WorstTrial:
-    """A trial to look at: why it was chosen, and how to see it again."""
+    """A trial to look at: why it was chosen, how to see it again, and its replay where it could
+    be made again."""
 
     why: str
     command: str
-    replay: Replay
+    replay: Replay | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class StudyResults:
+class StudyReport:
     """A study as a report shows it.
 
     name : of the study.

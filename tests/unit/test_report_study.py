@@ -10,7 +10,7 @@ from traffic import recording, tracks
 
 from pmbm.study import StepTime, TrialResult, estimate
 from reports.study_report import findings, holm, p_value, robustness, study_markdown, study_page
-from reports.values import CellResults, Failure, Replay, StudyResults, WorstTrial
+from reports.values import CellResults, Failure, Replay, StudyReport, WorstTrial
 
 HOSTILE = "</script><img src=x onerror=alert(1)>|\n# `&\u2028"
 
@@ -38,7 +38,7 @@ def cell(shift=0.0, trials=8, scenario="crossing", point=None, seed=0, trackers=
 
 def study(*cells, **changes):
     values = {"name": "night", "cells": cells, "planned": sum(len(c.results) for c in cells)}
-    return StudyResults(**{**values, **changes})
+    return StudyReport(**{**values, **changes})
 
 
 def test_the_p_value_is_scipys():

@@ -1,0 +1,54 @@
+"""`pmbm report`: a stored study as one HTML file, and as Markdown for a pull request."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("store", type=click.Path(path_type=Path, dir_okay=False), metavar="STORE.sqlite")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("reports"),
+    show_default=True,
+    help="Folder for the page.",
+)
+@click.option("--markdown", metavar="FILE|-", help="Also write Markdown for a pull request.")
+@click.option(
+    "--worst",
+    type=click.IntRange(min=0),
+    default=3,
+    show_default=True,
+    help="How many of the worst trials to play again in the page.",
+)
+@click.option(
+    "--reference",
+    metavar="TRACKER",
+    help="The tracker that the others are compared with.  [default: the study's first]",
+)
+def command(
+    store: Path, out: Path, markdown: str | None, worst: int, reference: str | None
+) -> None:
+    """Write a study's results as one page that opens from disk; also while the study runs.
+
+    \b
+    Examples:
+      pmbm report night.sqlite
+      pmbm report night.sqlite --worst 0 --markdown -
+    """
+    from pmbm.cli.sources import resolve
+    from reports.study_report import study_markdown, study_page
+    from reports.study_source import stored_report
+
+    report = stored_report(store, resolve, worst=worst, reference=reference)
+    out.mkdir(parents=True, exist_ok=True)
+    page = out / f"{store.stem}.html"
+    page.write_text(study_page(report), encoding="utf-8")
+    click.echo(f"{page}", err=True)
+    if markdown == "-":
+        click.echo(study_markdown(report), nl=False)
+    elif markdown is not None:
+        Path(markdown).write_text(study_markdown(report), encoding="utf-8")
