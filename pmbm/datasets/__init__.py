@@ -16,7 +16,11 @@ from pmbm.types import Recording, TrackSequence
 __all__ = ["DATASETS", "Dataset", "load", "open_dataset", "with_origins"]
 
 DATASETS: Final = {
+    "argoverse1": "pmbm.datasets.argoverse1:Argoverse1",
+    "argoverse2": "pmbm.datasets.argoverse2:Argoverse2",
     "kitti": "pmbm.datasets.kitti:Kitti",
+    "nuscenes": "pmbm.datasets.nuscenes:NuScenes",
+    "waymo": "pmbm.datasets.waymo:Waymo",
 }
 """Name -> module:class, imported when it is opened."""
 

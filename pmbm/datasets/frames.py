@@ -53,7 +53,9 @@ def box_table(rows: Sequence[Sequence[float]]) -> tuple[FloatArray, FloatArray, 
     return table[:, :3], table[:, 3:6], table[:, 6]
 
 
-def detection_frame(time: float, pose: Pose, boxes: SourceBoxes) -> Detections:
+def detection_frame(
+    time: float, pose: Pose, boxes: SourceBoxes, sensor_pose: FloatArray
+) -> Detections:
     """One delivery in the world."""
     n = len(boxes.position)
     return Detections(
@@ -64,7 +66,7 @@ def detection_frame(time: float, pose: Pose, boxes: SourceBoxes) -> Detections:
         score=np.ones(n) if boxes.score is None else boxes.score,
         raw_score=boxes.raw_score,
         label=boxes.label.astype(np.int64),
-        sensor_pose=pose.planar,
+        sensor_pose=sensor_pose,
     )
 
 
@@ -139,8 +141,14 @@ def recording(
     detections: Sequence[SourceBoxes | None],
     site: Site,
     provenance: Mapping[str, Any],
+    sensor_poses: Sequence[FloatArray] | None = None,
 ) -> Recording:
-    """All frames in the world; a frame whose detections are None has no delivery."""
+    """All frames in the world; a frame whose detections are None has no delivery.
+
+    poses : of the frame that boxes are given in.
+    sensor_poses : x, y, yaw of the sensor, where that is another.
+    """
+    sensors = [pose.planar for pose in poses] if sensor_poses is None else sensor_poses
     frames, object_name = truth_frames(times, poses, truth)
     delivered = [k for k, boxes in enumerate(detections) if boxes is not None]
     return Recording(
@@ -148,7 +156,7 @@ def recording(
         site=site,
         truth=frames,
         detections=tuple(
-            detection_frame(float(times[k]), poses[k], boxes)
+            detection_frame(float(times[k]), poses[k], boxes, sensors[k])
             for k, boxes in enumerate(detections)
             if boxes is not None
         ),
@@ -167,6 +175,8 @@ class Comparison:
     truth, tracks : F frames each; truth that does not count is not observable.
     excused (K,) : over all tracks in order; where unmatched, not false.
     truth_image (N,4), tracks_image (K,4) : left, top, right, bottom in the image, pixels, or None.
+    hard (N,) or None : of the more difficult kind.
+    sensor (F,3) or None : the sensor's place in the world.
     """
 
     truth: tuple[GroundTruth, ...]
@@ -174,6 +184,8 @@ class Comparison:
     excused: BoolArray
     truth_image: FloatArray | None = None
     tracks_image: FloatArray | None = None
+    hard: BoolArray | None = None
+    sensor: FloatArray | None = None
 
 
 def track_frames(

@@ -3,6 +3,8 @@ world, and what they do to upright boxes."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -89,14 +91,14 @@ def pose(rotation: ArrayLike, translation: ArrayLike, place: Place) -> Pose:
     return Pose(nearest, vector)
 
 
-def quaternion_matrix(w: float, x: float, y: float, z: float, place: Place) -> FloatArray:
-    """The rotation (3,3) of a quaternion, scalar first; InputError where its norm is not near 1."""
-    norm = float(np.sqrt(w * w + x * x + y * y + z * z)) if max(map(abs, (w, x, y, z))) < 10 else 10
-    if abs(norm - 1) > _NEARLY:
+def quaternion_matrix(quaternion: Sequence[float], place: Place) -> FloatArray:
+    """The rotation (3,3) of a quaternion w, x, y, z; InputError where its norm is not near 1."""
+    norm = math.hypot(*quaternion)
+    if not abs(norm - 1) <= _NEARLY:
         raise place.error(
-            "not a unit quaternion", field="rotation", expected="norm 1", got=[w, x, y, z]
+            "not a unit quaternion", field="rotation", expected="norm 1", got=list(quaternion)
         )
-    w, x, y, z = w / norm, x / norm, y / norm, z / norm
+    w, x, y, z = (part / norm for part in quaternion)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

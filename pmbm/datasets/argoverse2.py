@@ -1,0 +1,286 @@
+"""Argoverse 2 sensor logs: annotations, detections and poses in feather files; times in ns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from pmbm.datasets.columns import (
+    Columns,
+    int_list,
+    integer,
+    numbers,
+    read_columns,
+    text,
+    write_columns,
+)
+from pmbm.datasets.files import LARGEST_SIZE, Place, prepare_folder, safe_name
+from pmbm.datasets.frames import Comparison
+from pmbm.datasets.logs import (
+    Box,
+    Timeline,
+    checked_classes,
+    each_name_once,
+    log_comparison,
+    log_recording,
+    log_tracks,
+    submission_boxes,
+)
+from pmbm.datasets.poses import Pose, matrix_yaw, pose, quaternion_matrix, yaw_quaternion
+from pmbm.errors import nearest_hint
+from pmbm.types import Label, Recording, TrackSequence
+
+_LABELS: Final[Mapping[str, Label]] = {
+    "REGULAR_VEHICLE": Label.CAR,
+    "LARGE_VEHICLE": Label.TRUCK,
+    "BOX_TRUCK": Label.TRUCK,
+    "TRUCK": Label.TRUCK,
+    "TRUCK_CAB": Label.TRUCK,
+    "VEHICULAR_TRAILER": Label.TRUCK,
+    "BUS": Label.BUS,
+    "SCHOOL_BUS": Label.BUS,
+    "ARTICULATED_BUS": Label.BUS,
+    "RAILED_VEHICLE": Label.BUS,
+    "MOTORCYCLE": Label.MOTORCYCLIST,
+    "MOTORCYCLIST": Label.MOTORCYCLIST,
+    "BICYCLE": Label.CYCLIST,
+    "BICYCLIST": Label.CYCLIST,
+    "WHEELED_DEVICE": Label.CYCLIST,
+    "WHEELED_RIDER": Label.CYCLIST,
+    "PEDESTRIAN": Label.PEDESTRIAN,
+    "OFFICIAL_SIGNALER": Label.PEDESTRIAN,
+    "STROLLER": Label.PEDESTRIAN,
+    "WHEELCHAIR": Label.PEDESTRIAN,
+    "ANIMAL": Label.OTHER,
+    "DOG": Label.OTHER,
+    "BOLLARD": Label.OTHER,
+    "CONSTRUCTION_BARREL": Label.OTHER,
+    "CONSTRUCTION_CONE": Label.OTHER,
+    "MESSAGE_BOARD_TRAILER": Label.OTHER,
+    "MOBILE_PEDESTRIAN_CROSSING_SIGN": Label.OTHER,
+    "SIGN": Label.OTHER,
+    "STOP_SIGN": Label.OTHER,
+    "TRAFFIC_LIGHT_TRAILER": Label.OTHER,
+}
+DEFAULT: Final = ("REGULAR_VEHICLE", "PEDESTRIAN", "BICYCLIST", "BUS", "BOX_TRUCK", "MOTORCYCLIST")
+"""The commonest class of each label."""
+_EGO: Final = "EGO_VEHICLE"
+_BOX: Final = ("tx_m", "ty_m", "tz_m")
+_SIZE: Final = ("length_m", "width_m", "height_m")
+_ROTATION: Final = ("qw", "qx", "qy", "qz")
+_COMMON: Final = ("timestamp_ns", "category", *_SIZE, *_ROTATION, *_BOX)
+_PER_SECOND: Final = 10**9
+_MAX_RANGE: Final = 150.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Argoverse2:
+    """Logs of a split.
+
+    root : holds a folder for each log, with its poses and, for truth, its annotations.
+    detections : one feather file with the detections of all logs; None for none.
+    classes : any that differ in label.
+
+    World: the city's frame.  Truth without a single lidar point in it is not observable.  Results
+    are feather files of the annotations' form with a score, and a list of all frames.
+    """
+
+    root: Path
+    detections: str | None = None
+    classes: tuple[str, ...] = DEFAULT
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "root", Path(self.root))
+        classes = checked_classes(self.classes, _LABELS, "Argoverse 2")
+        object.__setattr__(self, "classes", classes)
+
+    @property
+    def labels(self) -> tuple[int, ...]:
+        """The labels of the classes asked for, in their order."""
+        return tuple(_LABELS[name] for name in self.classes)
+
+    def sequences(self) -> list[str]:
+        """The names of all logs: those with poses."""
+        logs = [path.parent.name for path in self.root.glob("*/city_SE3_egovehicle.feather")]
+        if not logs:
+            raise Place(self.root).error("no logs", expected="LOG/city_SE3_egovehicle.feather")
+        return sorted(logs)
+
+    def recording(self, sequence: str, *, truth: bool = True) -> Recording:
+        """One log in the city's frame; without `truth` its annotations are not read.
+
+        Its frames are the sweeps that are annotated or have detections.  Raises InputError for
+        missing or bad files, and for a sweep that has no pose of exactly its time.
+        """
+        labelled = self._truth(sequence) if truth or self.detections is None else {}
+        detected = {} if self.detections is None else self._detected(sequence)
+        timeline = self._timeline(sequence, sorted({*labelled, *detected}))
+        return log_recording(
+            name=f"argoverse2-{sequence}",
+            timeline=timeline,
+            truth=_frames(labelled, timeline) if truth else None,
+            detections=None if self.detections is None else _frames(detected, timeline),
+            labels=_LABELS,
+            classes=self.classes,
+            max_range=_MAX_RANGE,
+            provenance={"dataset": "argoverse2", "sequence": sequence},
+        )
+
+    def write(self, sequence: str, tracks: TrackSequence, out: Path) -> Path:
+        """Write `out`/LOG.feather and give its path."""
+        known = self._truth(sequence) if self.detections is None else self._detected(sequence)
+        timeline = self._timeline(sequence, sorted(known))
+        frames = submission_boxes(timeline, tracks, _LABELS, self.classes)
+        rows = [
+            (stamp, box)
+            for stamp, boxes in zip(timeline.stamps, frames, strict=True)
+            for box in boxes
+        ]
+        columns: dict[str, list[Any]] = {
+            "timestamp_ns": [stamp for stamp, _ in rows],
+            "track_uuid": [box.name for _, box in rows],
+            "category": [box.kind for _, box in rows],
+            "score": [box.score for _, box in rows],
+        }
+        for names, values in (
+            (_SIZE, [box.size for _, box in rows]),
+            (_BOX, [box.place for _, box in rows]),
+            (_ROTATION, [yaw_quaternion(box.yaw) for _, box in rows]),
+        ):
+            for place, name in enumerate(names):
+                columns[name] = [value[place] for value in values]
+        path = prepare_folder(Path(out)) / f"{sequence}.feather"
+        write_columns(path, columns, {"frames": list(timeline.stamps)})
+        return path
+
+    def read(self, sequence: str, folder: Path) -> TrackSequence:
+        """The tracks of `folder`/LOG.feather in the city's frame, a report for every frame listed
+        in it."""
+        stamps, results = self._results(sequence, folder)
+        timeline = self._timeline(sequence, stamps)
+        return log_tracks(timeline, _frames(results, timeline), _LABELS)
+
+    def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
+        """Annotations and results of one class in the vehicle's frame.
+
+        Raises InputError unless the results list exactly the annotated sweeps."""
+        labelled = self._truth(sequence)
+        stamps, results = self._results(sequence, folder)
+        place = Place(Path(folder) / f"{sequence}.feather")
+        for stamp in sorted(set(stamps) ^ set(labelled)):
+            known = "annotated but not in the results" if stamp in labelled else "not annotated"
+            raise place.error(f"a frame is {known}", frame=stamp, field="timestamp_ns")
+        timeline = self._timeline(sequence, sorted(labelled))
+        truth, tracks = _frames(labelled, timeline), _frames(results, timeline)
+        return log_comparison(timeline, truth, tracks, kind, _LABELS)
+
+    def _folder(self, sequence: str) -> Path:
+        return self.root / safe_name(sequence, Place(self.root), "sequences")
+
+    def _truth(self, sequence: str) -> dict[int, list[Box]]:
+        path = self._folder(sequence) / "annotations.feather"
+        with_ego = path.with_name("annotations_with_ego.feather")
+        if not path.exists() and with_ego.exists():
+            path = with_ego
+        table = read_columns(
+            path,
+            (*_COMMON, "track_uuid"),
+            parquet=False,
+            optional=("num_interior_pts",),
+        )
+        return _read_boxes(table, named=True)
+
+    def _detected(self, sequence: str) -> dict[int, list[Box]]:
+        table = read_columns(
+            Path(str(self.detections)), (*_COMMON, "score", "log_id"), parquet=False
+        )
+        found = _read_boxes(table, named=False, log=sequence)
+        if not found:
+            logs = sorted({str(log) for log in table.values["log_id"]})
+            raise Place(table.file).error(
+                f"no detections of log {sequence}",
+                field="log_id",
+                hint=nearest_hint(sequence, logs, "log") if len(logs) < 50 else None,
+            )
+        return found
+
+    def _results(self, sequence: str, folder: Path) -> tuple[tuple[int, ...], dict[int, list[Box]]]:
+        path = Path(folder) / f"{safe_name(sequence, Place(Path(folder)), 'sequences')}.feather"
+        table = read_columns(path, (*_COMMON, "score", "track_uuid"), parquet=False)
+        found = _read_boxes(table, named=True)
+        stamps = int_list(table.note.get("frames"))
+        if stamps is None:
+            stamps = tuple(sorted(found))
+        if list(stamps) != sorted({*stamps, *found}):
+            raise Place(path).error("the list of frames is not that of the rows", field="frames")
+        return stamps, found
+
+    def _timeline(self, sequence: str, stamps: Sequence[int]) -> Timeline:
+        path = self._folder(sequence) / "city_SE3_egovehicle.feather"
+        table = read_columns(path, ("timestamp_ns", *_ROTATION, *_BOX), parquet=False)
+        wanted = set(stamps)
+        poses: dict[int, Pose] = {}
+        for row, values in table.rows():
+            place = Place(path, rows=(row,))
+            stamp = integer(values["timestamp_ns"], place, "timestamp_ns")
+            if stamp not in wanted:
+                continue
+            place = Place(path, frame=stamp, rows=(row,))
+            if stamp in poses:
+                raise place.error("two poses of one time", field="timestamp_ns")
+            rotation = quaternion_matrix(numbers(values, _ROTATION, place), place)
+            poses[stamp] = pose(rotation, numbers(values, _BOX, place), place)
+        for stamp in stamps:
+            if stamp not in poses:
+                raise Place(path, frame=stamp).error("a sweep without a pose", field="timestamp_ns")
+        return Timeline(tuple(stamps), _PER_SECOND, tuple(poses[stamp] for stamp in stamps))
+
+
+def _frames(found: Mapping[int, list[Box]], timeline: Timeline) -> list[list[Box]]:
+    return [found.get(stamp, []) for stamp in timeline.stamps]
+
+
+def _read_boxes(table: Columns, *, named: bool, log: str | None = None) -> dict[int, list[Box]]:
+    """Stamp -> boxes, by time; of one log where the table holds several."""
+    found: dict[int, list[Box]] = {}
+    for row, values in table.rows():
+        place = Place(table.file, rows=(row,))
+        if log is not None and text(values["log_id"], place, "log_id") != log:
+            continue
+        stamp = integer(values["timestamp_ns"], place, "timestamp_ns")
+        place = Place(table.file, frame=stamp, rows=(row,))
+        kind = text(values["category"], place, "category")
+        boxes = found.setdefault(stamp, [])
+        if kind == _EGO:
+            continue
+        name = text(values["track_uuid"], place, "track_uuid") if named else ""
+        boxes.append(_read_box(values, kind, name, Place(table.file, stamp, name or None, (row,))))
+    if named:
+        for stamp, boxes in found.items():
+            each_name_once(boxes, Place(table.file, frame=stamp), "track_uuid")
+    return dict(sorted(found.items()))
+
+
+def _read_box(values: Mapping[str, Any], kind: str, name: str, place: Place) -> Box:
+    if kind not in _LABELS:
+        raise place.error(
+            "an unknown class", field="category", got=kind, hint=nearest_hint(kind, _LABELS)
+        )
+    x, y, z = numbers(values, _BOX, place)
+    length, width, height = numbers(values, _SIZE, place, above=0.0, within=LARGEST_SIZE)
+    rotation = quaternion_matrix(numbers(values, _ROTATION, place), place)
+    score = place.finite(values.get("score", 1.0), "score", within=1.0)
+    if score < 0:
+        raise place.error("a number out of range", field="score", expected="[0, 1]", got=score)
+    points = values.get("num_interior_pts", 1)
+    return Box(
+        kind,
+        name,
+        (x, y, z),
+        (length, width, height),
+        matrix_yaw(rotation),
+        score=score,
+        observable=integer(points, place, "num_interior_pts") > 0,
+    )
