@@ -4,15 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmbm.geometry import wrap_angle
+from pmbm.labels import Label
 from pmbm.types import FloatArray, IntArray, Site
 from sim.scene import Scene
 from sim.streams import Members
+
+TYPICAL_SIZE: Final = {
+    Label.CAR: (4.4, 1.85, 1.6),
+    Label.TRUCK: (9.0, 2.5, 3.5),
+    Label.BUS: (11.0, 2.6, 3.2),
+    Label.MOTORCYCLIST: (2.1, 0.8, 1.6),
+    Label.CYCLIST: (1.8, 0.65, 1.7),
+    Label.PEDESTRIAN: (0.7, 0.65, 1.75),
+    Label.OTHER: (2.0, 1.5, 1.6),
+}
+"""Length, width, height, m: what false boxes are like, and toward which detectors err."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Annotated, Final
+from typing import Annotated
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from pmbm.errors import InputError
 from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
 from pmbm.types import CLUTTER, FloatArray, IntArray, Site
-from sim.boxes import Boxes, concatenate, in_view, polar
+from sim.boxes import TYPICAL_SIZE, Boxes, concatenate, in_view, polar
 from sim.knobs import (
     NO_UNKNOWN_KEYS,
     NOT_NEGATIVE,
@@ -23,22 +23,12 @@ from sim.knobs import (
     Curve,
     NamedLabel,
     NumberOrCurve,
+    Size,
     check_bounds,
 )
 from sim.scene import Scene
 from sim.streams import Purpose, Streams, beta, normal
 
-TYPICAL_SIZE: Final = {
-    Label.CAR: (4.4, 1.85, 1.6),
-    Label.TRUCK: (9.0, 2.5, 3.5),
-    Label.BUS: (11.0, 2.6, 3.2),
-    Label.MOTORCYCLIST: (2.1, 0.8, 1.6),
-    Label.CYCLIST: (1.8, 0.65, 1.7),
-    Label.PEDESTRIAN: (0.7, 0.65, 1.75),
-    Label.OTHER: (2.0, 1.5, 1.6),
-}
-"""Length, width, height, m, about which the sizes of false boxes lie."""
-_SIZE_SPREAD = 0.1
 _SMALLEST_SIZE = 0.2
 
 _BLOCK = 16
@@ -46,13 +36,44 @@ _CELL = 40.0
 _CELLS_A_SIDE = 2**20
 
 
+_ONE = Curve.constant(1.0)
+
+
 def _cars() -> Mapping[Label, float]:
     return {Label.CAR: 1.0}
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClutterModel:
-    """False boxes.
+class FalseBoxes:
+    """What false boxes of a label are like.
+
+    range_profile : curve over range (m): relative density per square metre.
+    score_mean : mean of the confidence, a Beta variable.
+    score_concentration : sum of both shapes of the Beta; larger is narrower.
+    size_spread : relative standard deviation of length, width and height about the typical ones.
+    typical_size : length, width, height, m; where absent, the label's usual one.
+    """
+
+    range_profile: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ONE
+    score_mean: Annotated[float, SHARE] = 0.3
+    score_concentration: Annotated[float, POSITIVE] = 6.0
+    size_spread: Annotated[float, Bound(0.0, 0.5)] = 0.1
+    typical_size: Size | None = None
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if not any(density > 0 for density in self.range_profile.value):
+            raise InputError(
+                "impossible range_profile",
+                field="range_profile",
+                expected="a value above 0",
+                got=list(self.range_profile.value),
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClutterModel(FalseBoxes):
+    """How many false boxes there are, where and of what label.
 
     rate : mean number a frame, over the whole field of view.
     persistent_share : of the mean number, the share that belongs to fixed places in the world;
@@ -60,9 +81,7 @@ class ClutterModel:
     persistent_detection : probability that a place in view gives a box in a frame.
     persistent_noise : standard deviation of such a box about its place, x and y, m.
     labels : relative frequency of each label.
-    range_profile : curve over range (m): relative density per square metre.
-    score_mean : mean of the confidence, a Beta variable.
-    score_concentration : sum of both shapes of the Beta; larger is narrower.
+    label : what false boxes of single labels are like; the others are as this table says.
     """
 
     rate: Annotated[float, NOT_NEGATIVE] = 0.0
@@ -70,31 +89,33 @@ class ClutterModel:
     persistent_detection: Annotated[float, Bound(most=1.0, above=0.0)] = 0.8
     persistent_noise: Annotated[float, NOT_NEGATIVE] = 0.3
     labels: Annotated[Mapping[NamedLabel, float], NOT_NEGATIVE] = field(default_factory=_cars)
-    range_profile: Annotated[NumberOrCurve, NOT_NEGATIVE] = field(
-        default_factory=lambda: Curve.constant(1.0)
-    )
-    score_mean: Annotated[float, SHARE] = 0.3
-    score_concentration: Annotated[float, POSITIVE] = 6.0
+    label: Mapping[NamedLabel, FalseBoxes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        ordered = {Label(label): float(self.labels[label]) for label in sorted(self.labels)}
-        object.__setattr__(self, "labels", MappingProxyType(ordered))
-        check_bounds(self)
-        for name, weights in (
-            ("labels", list(ordered.values())),
-            ("range_profile", list(self.range_profile.value)),
-        ):
-            if not any(weight > 0 for weight in weights):
-                raise InputError(
-                    f"impossible {name}", field=name, expected="a value above 0", got=weights
-                )
+        super().__post_init__()
+        for name in ("labels", "label"):
+            given = getattr(self, name)
+            ordered = {Label(label): given[label] for label in sorted(given)}
+            object.__setattr__(self, name, MappingProxyType(ordered))
+        if not any(share > 0 for share in self.labels.values()):
+            raise InputError(
+                "impossible labels",
+                field="labels",
+                expected="a value above 0",
+                got=list(self.labels.values()),
+            )
 
     def __reduce__(self) -> tuple[object, ...]:
         # Mapping proxies do not pickle.
-        values = {**self.__dict__, "labels": dict(self.labels)}
+        values = {**self.__dict__, "labels": dict(self.labels), "label": dict(self.label)}
         return _make_clutter_model, (values,)
 
+    def of(self, label: Label) -> FalseBoxes:
+        """What false boxes of that label are like."""
+        return self.label.get(label, self)
 
+
+FalseBoxes.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]
 ClutterModel.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]
 
 
@@ -126,9 +147,13 @@ def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
         reached = level[:, -1]
         block += 1
     frame = np.concatenate(frames)
-    _, along, around, yaw, label, *size, score = np.concatenate(marks).T
+    _, along, around, yaw, label_draw, *size, score = np.concatenate(marks).T
     pose = scene.sensor_pose[frame]
-    distance = _range_quantile(model.range_profile, scene.site, along)
+    label = _labels(model, label_draw)
+    distance = np.zeros(len(frame))
+    for kind in model.labels:
+        rows = label == kind
+        distance[rows] = _range_quantile(model.of(kind).range_profile, scene.site, along[rows])
     bearing = pose[:, 2] + scene.site.fov_centre + scene.site.fov_half_angle * (2 * around - 1)
     centre = pose[:, :2] + distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     return _false_boxes(model, frame, centre, 2 * np.pi * yaw - np.pi, label, size, score)
@@ -161,7 +186,7 @@ def _persistent(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
                     frame,
                     centre + model.persistent_noise * noise[:, :2],
                     wrap_angle(2 * np.pi * place[3] - np.pi + 0.1 * noise[:, 2]),
-                    np.full(len(frame), place[4]),
+                    _labels(model, np.full(len(frame), place[4])),
                     [np.full(len(frame), draw) for draw in place[5:8]],
                     draws[frame, 4],
                 )
@@ -200,29 +225,37 @@ def _range_quantile(profile: Curve, site: Site, share: FloatArray) -> FloatArray
     return np.interp(share * mass[-1], mass, edge)
 
 
+def _labels(model: ClutterModel, draw: FloatArray) -> IntArray:
+    """Labels (R,) by their relative frequency."""
+    names = np.array([int(label) for label in model.labels])
+    cumulative = np.cumsum(list(model.labels.values()))
+    return names[np.searchsorted(cumulative, draw * cumulative[-1], side="right")]
+
+
 def _false_boxes(
     model: ClutterModel,
     frame: IntArray,
     centre: FloatArray,
     yaw: FloatArray,
-    label_draw: FloatArray,
+    label: IntArray,
     size_draws: list[FloatArray],
     score_draw: FloatArray,
 ) -> Boxes:
-    labels = np.array([int(label) for label in model.labels])
-    cumulative = np.cumsum(list(model.labels.values()))
-    label = labels[np.searchsorted(cumulative, label_draw * cumulative[-1], side="right")]
-    typical = np.array([TYPICAL_SIZE[Label(value)] for value in Label])[label]
-    size = np.maximum(
-        typical * (1 + _SIZE_SPREAD * normal(np.stack(size_draws, axis=1))), _SMALLEST_SIZE
-    )
+    size, score = np.zeros((len(frame), 3)), np.zeros(len(frame))
+    error = normal(np.stack(size_draws, axis=1))
+    for kind in model.labels:
+        rows, look = label == kind, model.of(kind)
+        typical = np.array(look.typical_size or TYPICAL_SIZE[kind])
+        size[rows] = np.maximum(typical * (1 + look.size_spread * error[rows]), _SMALLEST_SIZE)
+        mean = np.full(np.count_nonzero(rows), look.score_mean)
+        score[rows] = beta(score_draw[rows], mean, look.score_concentration)
     return Boxes(
         frame=frame,
         origin=np.full(len(frame), CLUTTER),
         position=np.concatenate([centre, size[:, 2:] / 2], axis=1),
         size=size,
         yaw=yaw,
-        score=beta(score_draw, np.full(len(frame), model.score_mean), model.score_concentration),
+        score=score,
         label=label,
     )
 

@@ -20,7 +20,7 @@ from pmbm.labels import Label
 from pmbm.types import Detections, FloatArray, IntArray, Recording
 from sim.boxes import Boxes, Targets, concatenate, targets
 from sim.calibration import reliability
-from sim.clutter import ClutterModel, clutter
+from sim.clutter import ClutterModel, FalseBoxes, clutter
 from sim.knobs import NO_UNKNOWN_KEYS, POSITIVE, Bound, Curve, NamedLabel, check_bounds
 from sim.objects import ObjectModel, sense
 from sim.scene import Scene
@@ -137,14 +137,7 @@ class DetectorModel:
             "score_temperature": self.score_temperature,
             "score_offset": self.score_offset,
             "objects": _plain(self.objects),
-            "label": {
-                label.name.lower(): {
-                    key: value
-                    for key, value in _plain(model).items()
-                    if value != _plain(self.objects)[key]
-                }
-                for label, model in self.label.items()
-            },
+            "label": _plain_by_label(self.label, self.objects),
             "clutter": _plain(self.clutter),
             "sensor": _plain(self.sensor),
         }
@@ -195,43 +188,94 @@ def _profile_path(profile: str | Path) -> Path:
 
 
 def _model(document: Mapping[str, Any], file: object) -> DetectorModel:
-    """The model that a document describes: a table of a label refines the table `objects`."""
-    objects = table_of(document, "objects", file=file)
-    by_label = {
-        name: {**objects, **table_of(document, "label", name, file=file)}
-        for name in table_of(document, "label", file=file)
+    """The model that a document describes: the tables of a label refine the shared ones."""
+    false_boxes = table_of(document, "clutter", file=file)
+    look = {f.name: false_boxes[f.name] for f in fields(FalseBoxes) if f.name in false_boxes}
+    filled = {
+        **document,
+        "label": _refined(document, table_of(document, "objects", file=file), "label", file=file),
+        "clutter": {
+            **false_boxes,
+            "label": _refined(document, look, "clutter", "label", file=file),
+        },
     }
-    return validated(DetectorModel, {**document, "label": by_label}, file=file)
+    return validated(DetectorModel, filled, file=file)
+
+
+def _refined(
+    document: Mapping[str, Any], shared: Mapping[str, Any], *path: str, file: object
+) -> dict[str, Any]:
+    """The tables by label at a path, each on top of the shared one."""
+    return {
+        name: {**shared, **table_of(document, *path, name, file=file)}
+        for name in table_of(document, *path, file=file)
+    }
 
 
 def _overridden(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """The document with what the overrides say; `objects` speaks for every label."""
-    changed = {**base, **overrides}
-    shared = table_of(overrides, "objects")
-    changed["objects"] = {**base["objects"], **shared}
-    by_label = {
-        name: {key: value for key, value in table.items() if key not in shared}
-        for name, table in base["label"].items()
+    """The document with what the overrides say; a shared table speaks for every label."""
+    objects, clutter = table_of(overrides, "objects"), table_of(overrides, "clutter")
+    clutter.pop("label", None)
+    return {
+        **base,
+        **overrides,
+        "objects": {**base["objects"], **objects},
+        "label": _labels_overridden(base["label"], objects, overrides, "label"),
+        "clutter": {
+            **base["clutter"],
+            **clutter,
+            "label": _labels_overridden(
+                base["clutter"]["label"], clutter, overrides, "clutter", "label"
+            ),
+        },
+        "sensor": {**base["sensor"], **table_of(overrides, "sensor")},
     }
-    for name in table_of(overrides, "label"):
-        by_label[name] = {**by_label.get(name, {}), **table_of(overrides, "label", name)}
-    changed["label"] = by_label
-    for part in ("clutter", "sensor"):
-        changed[part] = {**base[part], **table_of(overrides, part)}
-    return changed
+
+
+def _labels_overridden(
+    base: Mapping[str, Any], shared: Mapping[str, Any], overrides: Mapping[str, Any], *path: str
+) -> dict[str, Any]:
+    """The tables by label, without what the shared one says anew, with those at a path."""
+    left = {
+        name: {key: value for key, value in table.items() if key not in shared}
+        for name, table in base.items()
+    }
+    changed = {
+        name: {**left.get(name, {}), **table_of(overrides, *path, name)}
+        for name in table_of(overrides, *path)
+    }
+    return {**left, **changed}
 
 
 def _plain(part: Any) -> dict[str, Any]:
-    """A part of the model as a table of a file."""
-    table = {}
+    """A part of the model as a table of a file; a label's table says what differs."""
+    table: dict[str, Any] = {}
     for f in fields(part):
         value = getattr(part, f.name)
+        if value is None:
+            continue
         if isinstance(value, Curve):
             value = value.plain()
+        elif isinstance(value, tuple):
+            value = list(value)
+        elif f.name == "label":
+            value = _plain_by_label(value, part)
         elif isinstance(value, Mapping):
             value = {label.name.lower(): share for label, share in value.items()}
         table[f.name] = value
     return table
+
+
+def _plain_by_label(models: Mapping[Label, Any], shared: Any) -> dict[str, Any]:
+    """What the models of single labels have that the shared one has not."""
+    return {
+        label.name.lower(): {
+            key: value
+            for key, value in _plain(model).items()
+            if getattr(model, key) != getattr(shared, key)
+        }
+        for label, model in models.items()
+    }
 
 
 def _by_frame(boxes: Boxes, scene: Scene, pose: FloatArray) -> list[tuple[Detections, IntArray]]:

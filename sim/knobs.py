@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, Final, get_type_hints
+from typing import Annotated, Any, Final, get_args, get_type_hints
 
 import numpy as np
 
@@ -56,6 +56,9 @@ class Bound:
 SHARE = Bound(0.0, 1.0)
 NOT_NEGATIVE = Bound(0.0)
 POSITIVE = Bound(above=0.0)
+
+Size = Annotated[tuple[float, float, float], POSITIVE]
+"""Length, width, height, m."""
 
 
 @dataclass(frozen=True)
@@ -164,8 +167,12 @@ def check_bounds(knobs: Any) -> None:
     kind: type = type(knobs)
     for name, bound in _bounds(kind).items():
         given = getattr(knobs, name)
+        if given is None:
+            continue
         if isinstance(given, Curve):
             numbers: list[Any] = list(given.value)
+        elif isinstance(given, tuple):
+            numbers = list(given)
         elif isinstance(given, Mapping):
             numbers = list(given.values())
         else:
@@ -181,7 +188,8 @@ def _bounds(kind: type) -> dict[str, Bound]:
     return {
         name: extra
         for name in hints
-        for extra in getattr(hints[name], "__metadata__", ())
+        for form in (hints[name], *get_args(hints[name]))
+        for extra in getattr(form, "__metadata__", ())
         if isinstance(extra, Bound)
     }
 

@@ -14,7 +14,7 @@ from pmbm.errors import InputError
 from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
 from pmbm.types import FloatArray, IntArray
-from sim.boxes import Boxes, Targets, concatenate
+from sim.boxes import TYPICAL_SIZE, Boxes, Targets, concatenate
 from sim.knobs import (
     NO_UNKNOWN_KEYS,
     NOT_NEGATIVE,
@@ -24,9 +24,10 @@ from sim.knobs import (
     Curve,
     NamedLabel,
     NumberOrCurve,
+    Size,
     check_bounds,
 )
-from sim.streams import Purpose, Streams, beta, normal
+from sim.streams import Purpose, Streams, beta, cumulative_normal, normal
 
 _SMALLEST_SHARE_OF_SIZE = 0.2
 """Noise never makes a box smaller than this share of the object."""
@@ -50,13 +51,18 @@ class ObjectModel:
     position_noise_scale : multiplies the three.
     hidden_noise : how much more the centre errs when hidden: the three are multiplied by
         1 + hidden_noise * (1 - visible share).
+    size_pull : how far sizes are pulled from the object's toward the typical: 0 not, 1 all the way.
+    typical_size : length, width, height, m; where absent, the label's usual one.
     size_bias : mean relative error of length and width; -0.1 is a tenth too small.
     hidden_size_bias : the same, more of it the less is visible: times (1 - visible share).
-    near_side_anchor : how far the centre moves toward the visible side when the bias shrinks the
-        box: 0 keeps the centre, 1 keeps the corner nearest to the sensor.
+    near_side_anchor : how far the centre moves toward the visible side when pull and bias shrink
+        the box: 0 keeps the centre, 1 keeps the corner nearest to the sensor.
     length_noise, width_noise, height_noise : standard deviation, m.
     yaw_noise : standard deviation, rad.
     flip_probability : of a heading turned by pi.
+    error_persistence : correlation of the errors of centre, size and heading (but for flips) from
+        one frame to the next.
+    score_persistence : the same of the latent quality that sets the confidence.
     score_mean : mean of the confidence, a Beta variable.
     hidden_score_loss : share of the mean confidence lost when hidden: times (1 - visible share).
     score_concentration : sum of both shapes of the Beta; larger is narrower.
@@ -78,6 +84,8 @@ class ObjectModel:
     vertical_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     position_noise_scale: Annotated[float, NOT_NEGATIVE] = 1.0
     hidden_noise: Annotated[float, NOT_NEGATIVE] = 0.0
+    size_pull: Annotated[NumberOrCurve, SHARE] = _ZERO
+    typical_size: Size | None = None
     size_bias: Annotated[float, Bound(-0.8, 4.0)] = 0.0
     hidden_size_bias: Annotated[float, Bound(-0.8, 4.0)] = 0.0
     near_side_anchor: Annotated[float, SHARE] = 0.0
@@ -86,6 +94,8 @@ class ObjectModel:
     height_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     yaw_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     flip_probability: Annotated[float, SHARE] = 0.0
+    error_persistence: Annotated[float, Bound(0.0, 0.999)] = 0.0
+    score_persistence: Annotated[float, Bound(0.0, 0.999)] = 0.0
     score_mean: Annotated[NumberOrCurve, SHARE] = _SURE
     hidden_score_loss: Annotated[float, SHARE] = 0.0
     score_concentration: Annotated[float, POSITIVE] = 100.0
@@ -128,18 +138,30 @@ ObjectModel.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]
 
 def sense(model: ObjectModel, seen: Targets, streams: Streams) -> Boxes:
     """The boxes of those targets, all of one label, that are detected."""
-    seen = seen.take(_detected(model, seen, streams))
-    quality = seen.members.uniforms(streams, Purpose.SCORE, 1)[:, 0]
-    poorness = np.exp(-model.quality_coupling * (normal(quality) + model.quality_coupling))
+    members = seen.members
+    steady = model.error_persistence
+    errors = np.concatenate(
+        [
+            members.normals(streams, Purpose.POSITION, 3, steady),
+            members.normals(streams, Purpose.SIZE, 3, steady),
+            members.normals(streams, Purpose.HEADING, 1, steady),
+        ],
+        axis=1,
+    )
+    quality = members.normals(streams, Purpose.SCORE, 1, model.score_persistence)[:, 0]
+    # Chains of errors run through frames without a detection, so misses move nothing else.
+    detected = _detected(model, seen, streams)
+    seen, errors, quality = seen.take(detected), errors[detected], quality[detected]
+    errors *= np.exp(-model.quality_coupling * (quality + model.quality_coupling))[:, None]
     size, shift = _biased_size(model, seen)
-    size_error = poorness[:, None] * _size_error(model, seen, streams)
-    position_error = poorness[:, None] * _position_error(model, seen, streams)
     boxes = Boxes(
         frame=seen.frame,
         origin=seen.row,
-        position=seen.position + shift + position_error,
-        size=np.maximum(size + size_error, _SMALLEST_SHARE_OF_SIZE * seen.size),
-        yaw=_yaw(model, seen, poorness, streams),
+        position=seen.position + shift + _position_error(model, seen, errors[:, :3]),
+        size=np.maximum(
+            size + _size_error(model, seen, errors[:, 3:6]), _SMALLEST_SHARE_OF_SIZE * seen.size
+        ),
+        yaw=_yaw(model, seen, errors[:, 6], streams),
         score=_score(model, seen, quality),
         label=_label(model, seen, streams),
     )
@@ -166,19 +188,21 @@ def _detected(model: ObjectModel, seen: Targets, streams: Streams) -> NDArray[np
     return detected
 
 
-def _position_error(model: ObjectModel, seen: Targets, streams: Streams) -> FloatArray:
-    """Errors of the centre (R,3) in the world, drawn along and across the line of sight."""
-    draws = normal(seen.members.uniforms(streams, Purpose.POSITION, 3))
-    along, across, up = (draws * model.position_noise(seen.distance, seen.visibility)).T
+def _position_error(model: ObjectModel, seen: Targets, errors: FloatArray) -> FloatArray:
+    """Errors of the centre (R,3) in the world, from those along and across the line of sight."""
+    along, across, up = (errors * model.position_noise(seen.distance, seen.visibility)).T
     cos, sin = np.cos(seen.bearing), np.sin(seen.bearing)
     return np.stack([along * cos - across * sin, along * sin + across * cos, up], axis=1)
 
 
 def _biased_size(model: ObjectModel, seen: Targets) -> tuple[FloatArray, FloatArray]:
-    """Sizes (R,3) after bias, and how the centre moves (R,3) to keep the visible side in place."""
+    """Sizes (R,3) after pull and bias, and the moves (R,3) of the centre that keep the visible side
+    in place."""
     factor = 1.0 + model.size_bias + model.hidden_size_bias * (1.0 - seen.visibility)
     factor = np.maximum(factor, _SMALLEST_SHARE_OF_SIZE)
-    size = seen.size * np.stack([factor, factor, np.ones_like(factor)], axis=1)
+    typical = np.array([model.typical_size or TYPICAL_SIZE[Label(v)] for v in Label])[seen.label]
+    size = seen.size + model.size_pull(seen.distance)[:, None] * (typical - seen.size)
+    size = size * np.stack([factor, factor, np.ones_like(factor)], axis=1)
     toward_sensor = seen.bearing + np.pi - seen.yaw
     side = np.sign(np.stack([np.cos(toward_sensor), np.sin(toward_sensor)], axis=1))
     local = model.near_side_anchor * side * (seen.size - size)[:, :2] / 2
@@ -188,15 +212,14 @@ def _biased_size(model: ObjectModel, seen: Targets) -> tuple[FloatArray, FloatAr
     return size, np.stack([x, y, np.zeros_like(x)], axis=1)
 
 
-def _size_error(model: ObjectModel, seen: Targets, streams: Streams) -> FloatArray:
-    draws = normal(seen.members.uniforms(streams, Purpose.SIZE, 3))
+def _size_error(model: ObjectModel, seen: Targets, errors: FloatArray) -> FloatArray:
     curves = (model.length_noise, model.width_noise, model.height_noise)
-    return draws * np.stack([curve(seen.distance) for curve in curves], axis=1)
+    return errors * np.stack([curve(seen.distance) for curve in curves], axis=1)
 
 
-def _yaw(model: ObjectModel, seen: Targets, poorness: FloatArray, streams: Streams) -> FloatArray:
-    noise, flip = seen.members.uniforms(streams, Purpose.HEADING, 2).T
-    yaw = seen.yaw + poorness * model.yaw_noise(seen.distance) * normal(noise)
+def _yaw(model: ObjectModel, seen: Targets, error: FloatArray, streams: Streams) -> FloatArray:
+    flip = seen.members.uniforms(streams, Purpose.FLIP, 1)[:, 0]
+    yaw = seen.yaw + model.yaw_noise(seen.distance) * error
     return wrap_angle(np.where(flip < model.flip_probability, yaw + np.pi, yaw))
 
 
@@ -204,7 +227,7 @@ def _score(model: ObjectModel, seen: Targets, quality: FloatArray) -> FloatArray
     mean = model.score_mean(seen.distance) * (
         1.0 - model.hidden_score_loss * (1.0 - seen.visibility)
     )
-    return beta(quality, mean, model.score_concentration)
+    return beta(cumulative_normal(quality), mean, model.score_concentration)
 
 
 def _label(model: ObjectModel, seen: Targets, streams: Streams) -> IntArray:

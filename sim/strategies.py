@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from pmbm.geometry import corners, wrap_angle
 from pmbm.labels import Label
 from pmbm.types import FloatArray, Recording, Site
-from sim.clutter import TYPICAL_SIZE, ClutterModel
+from sim.boxes import TYPICAL_SIZE
+from sim.clutter import ClutterModel
 from sim.detector import DetectorModel, load_profile
 from sim.knobs import Curve
 from sim.scene import Scene, make_scene

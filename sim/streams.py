@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
+from scipy import signal, special
 
 from pmbm.types import FloatArray, IntArray
 
@@ -39,6 +39,7 @@ class Purpose(enum.IntEnum):
     EGO_POSE = 11
     PLACE = 12
     PLACE_SEEN = 13
+    FLIP = 14
 
 
 @dataclass(frozen=True)
@@ -89,11 +90,31 @@ class Members:
             draws[rows] = table[frames]
         return draws
 
+    def normals(
+        self, streams: Streams, purpose: Purpose, width: int, persistence: float = 0.0
+    ) -> FloatArray:
+        """Standard normal values (R, width), each correlated by `persistence` with that of the
+        object's row before: a stationary autoregressive process of first order."""
+        values = normal(self.uniforms(streams, purpose, width))
+        if persistence > 0.0:
+            fresh = np.sqrt(1.0 - persistence**2)
+            for _, rows in self:
+                innovation = values[rows]
+                innovation[0] /= fresh
+                values[rows] = signal.lfilter([fresh], [1.0, -persistence], innovation, axis=0)
+        return values
+
 
 def normal(uniform: FloatArray) -> FloatArray:
     """Standard normal values by inverse distribution function."""
     value: FloatArray = special.ndtri(uniform)
     return value
+
+
+def cumulative_normal(value: FloatArray) -> FloatArray:
+    """Uniforms in (0, 1) of standard normal values."""
+    uniform: FloatArray = np.clip(special.ndtr(value), _SMALLEST, 1.0 - 2 * _SMALLEST)
+    return uniform
 
 
 def beta(uniform: FloatArray, mean: FloatArray, concentration: float) -> FloatArray:

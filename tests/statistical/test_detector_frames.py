@@ -14,8 +14,8 @@ from pmbm import run
 from pmbm.errors import InputError
 from pmbm.geometry import to_local, to_world, wrap_angle
 from pmbm.types import Label, Site, Tracks
+from sim.boxes import TYPICAL_SIZE
 from sim.calibration import reliability
-from sim.clutter import TYPICAL_SIZE
 from sim.detector import load_profile
 
 ALPHA = 1e-4
@@ -83,6 +83,25 @@ def test_clutter_has_the_labels_sizes_and_scores_it_should():
         assert stats.kstest((ratio.ravel() - 1) / 0.1, "norm").pvalue > ALPHA
     assert stats.kstest(found["score"], stats.beta(1, 4).cdf).pvalue > ALPHA
     np.testing.assert_allclose(found["position"][:, 2], found["size"][:, 2] / 2)
+
+
+def test_false_boxes_of_a_label_can_be_of_their_own_kind():
+    walking = {"range_profile": {"at": [20.0, 20.1], "value": [1.0, 0.0]}, "score_mean": 0.6}
+    knobs = {
+        "rate": 5.0,
+        "labels": {"car": 1.0, "pedestrian": 1.0},
+        "score_mean": 0.2,
+        "score_concentration": 5.0,
+        "label": {"pedestrian": {**walking, "typical_size": [1.0, 1.0, 2.0], "size_spread": 0.0}},
+    }
+    found = clutter(record(NOBODY, clutter=knobs))
+    distance, _ = polar(NOBODY, found)
+    foot = found["label"] == Label.PEDESTRIAN
+    assert distance[foot].max() < 20.2
+    assert stats.kstest(np.square(distance[~foot] / 100), "uniform").pvalue > ALPHA
+    np.testing.assert_array_equal(found["size"][foot], np.tile([1, 1, 2], (foot.sum(), 1)))
+    assert stats.kstest(found["score"][foot], stats.beta(3, 2).cdf).pvalue > ALPHA
+    assert stats.kstest(found["score"][~foot], stats.beta(1, 4).cdf).pvalue > ALPHA
 
 
 def test_persistent_clutter_keeps_its_places_and_the_mean_rate():

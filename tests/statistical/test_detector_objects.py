@@ -10,6 +10,7 @@ from scipy import stats
 
 from pmbm.geometry import corners
 from pmbm.types import Label
+from sim.boxes import TYPICAL_SIZE
 from sim.detector import load_profile
 
 ALPHA = 1e-4
@@ -273,3 +274,49 @@ def test_labels_have_knobs_of_their_own():
     assert same_spread(seen["error"][walking, 0], 0.1)
     assert same_spread(seen["error"][~walking, 0], 0.4)
     assert stats.binomtest(int(walking.sum()), 100 * 150, 0.5).pvalue > ALPHA
+
+
+def lagged(seen, column, lag=1):
+    """A column of values, object by object, and the same `lag` frames later."""
+    order = np.lexsort((seen["frame"], seen["object"]))
+    table = column[order].reshape(len(MANY), -1)
+    return table[:, lag:].ravel(), table[:, :-lag].ravel()
+
+
+def test_errors_and_scores_persist_as_said_and_keep_their_spread():
+    seen = pairs(
+        record(
+            still(MANY),
+            radial_noise=0.3,
+            length_noise=0.2,
+            yaw_noise=0.1,
+            score_mean=0.7,
+            score_concentration=8.0,
+            error_persistence=0.8,
+            score_persistence=0.5,
+        )
+    )
+    length = seen["size"][:, 0] - 4.4
+    for error, deviation in ((seen["error"][:, 0], 0.3), (length, 0.2), (seen["yaw_error"], 0.1)):
+        first = error[seen["frame"] % 25 == 0]  # far enough apart to count as independent
+        assert same_spread(first, deviation)
+        for lag in (1, 3):
+            later, earlier = lagged(seen, error, lag)
+            assert np.corrcoef(later, earlier)[0, 1] == pytest.approx(0.8**lag, abs=0.03)
+    quality = stats.norm.ppf(stats.beta.cdf(seen["score"], 8 * 0.7, 8 * 0.3))
+    assert stats.kstest(quality[seen["frame"] % 10 == 0], "norm").pvalue > ALPHA
+    for lag in (1, 3):
+        assert np.corrcoef(*lagged(seen, quality, lag))[0, 1] == pytest.approx(0.5**lag, abs=0.03)
+
+
+def test_sizes_are_pulled_toward_the_typical_one():
+    scene = still(MANY, frames=1)
+    pull = {"at": [20.0, 80.0], "value": [0.0, 0.6]}
+    seen = pairs(record(scene, size_pull=pull, typical_size=[3.4, 1.6, 1.5]))
+    share = np.interp(seen["distance"], [20, 80], [0, 0.6])
+    typical = np.array([3.4, 1.6, 1.5])
+    expected = seen["true_size"] + share[:, None] * (typical - seen["true_size"])
+    np.testing.assert_allclose(seen["size"], expected)
+    usual = pairs(record(scene, size_pull=1.0))
+    np.testing.assert_allclose(usual["size"], np.tile(TYPICAL_SIZE[Label.CAR], (len(MANY), 1)))
+    np.testing.assert_array_equal(usual["position"], usual["true_position"])

@@ -48,6 +48,10 @@ def test_the_expected_profiles_ship():
         ({"clutter": {"rate": True}}, ["clutter.rate", "number", "True"]),
         ({"clutter": {"rate": float("nan")}}, ["clutter.rate", "nan"]),
         ({"clutter": 3}, ["clutter", "a table", "3"]),
+        ({"clutter": {"label": {"car": {"rate": 3}}}}, ["clutter.label.car.rate", "unknown key"]),
+        ({"clutter": {"label": {"car": {"score_mean": 3}}}}, ["label.car.score_mean", "at most 1"]),
+        ({"objects": {"typical_size": [4, -2, 1]}}, ["objects.typical_size", "above 0", "-2"]),
+        ({"objects": {"typical_size": [4, 2]}}, ["objects.typical_size"]),
         ({"sensor": {"late_by": 1.5}}, ["sensor.late_by", "integer", "1.5"]),
         ({"score_temperature": 0}, ["score_temperature", "above 0", "0"]),
         ({"objects": {"radial_noise": {"at": [1, 0], "value": [1, 2]}}}, ["radial_noise", "incr"]),
@@ -110,3 +114,14 @@ def test_a_label_refines_and_an_override_of_objects_speaks_for_all(tmp_path):
 def test_a_curve_is_linear_between_and_constant_beyond():
     curve = Curve(at=(10, 20), value=(1, 0))
     assert curve(np.array([0.0, 10.0, 15.0, 20.0, 90.0])).tolist() == [1.0, 1.0, 0.5, 0.0, 0.0]
+
+
+def test_clutter_of_a_label_refines_the_shared_table():
+    base = {"clutter": {"score_mean": 0.4, "label": {"car": {"size_spread": 0.2}}}}
+    model = load_profile(base)
+    assert model.clutter.of(Label.CAR).score_mean == 0.4
+    assert model.clutter.of(Label.CAR).size_spread == 0.2
+    assert model.clutter.of(Label.TRUCK).size_spread == 0.1
+    changed = load_profile(base, {"clutter": {"size_spread": 0.0}})
+    assert changed.clutter.of(Label.CAR).size_spread == 0.0
+    assert load_profile(changed.plain()) == changed
