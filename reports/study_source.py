@@ -5,15 +5,18 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from pmbm.errors import InputError
 from pmbm.study import ConfiguredTracker, Source, StudyResults, TrialResult, load_results
 from reports.replays import trial_replay
 from reports.study_report import leading_metric
 from reports.tables import shown_metric
-from reports.values import CellResults, Failure, StudyReport, WorstTrial
+from reports.values import CellResults, Failure, Replay, StudyReport, WorstTrial
 
 Resolve = Callable[[str, Mapping[str, Any]], Source]
 
@@ -33,7 +36,7 @@ def stored_report(
     """What a store holds, as a report shows it; also while the study still runs.
 
     resolve : turns the names of scenarios, with their swept values, into Sources.
-    worst : how many of the worst trials to play again, at most one a scenario.
+    worst : how many of the worst trials to play again.
     reference : the tracker that the others are compared with; by default the first.
 
     A trial is played again only where its recording has the digest that was stored; the code or
@@ -79,26 +82,21 @@ def stored_report(
 
 
 def worst_trials(results: StudyResults, tracker: str, count: int) -> list[_Candidate]:
-    """Of each scenario the trial where the tracker's leading metric is worst; of those the
-    `count` farthest from their cell's mean, in its standard deviations."""
+    """The trials where the tracker's leading metric is worst: the worst of each scenario, then
+    the second of each, until there are `count`; the worst first."""
     summaries = [s for number in results.trials if (s := results.summary(number))]
     metric = leading_metric(summaries)
     sign = shown_metric(metric).sign or -1
-    best: dict[str, tuple[float, _Candidate]] = {}
+    by_scenario: dict[str, list[_Candidate]] = {}
     for number, trials in results.trials.items():
-        values = [(t, t.scores[tracker].get(metric)) for t in trials]
-        defined = [(t, value) for t, value in values if value is not None]
-        if not defined:
-            continue
-        mean = sum(value for _, value in defined) / len(defined)
-        spread = (sum((v - mean) ** 2 for _, v in defined) / len(defined)) ** 0.5
-        trial, value = min(defined, key=lambda pair: sign * pair[1])
-        distance = abs(value - mean) / spread if spread else 0.0
-        scenario = trial.source
-        if scenario not in best or distance > best[scenario][0]:
-            best[scenario] = (distance, _Candidate(number, trial, value))
-    ranked = sorted(best.values(), key=lambda pair: -pair[0])
-    return [candidate for _, candidate in ranked[:count]]
+        for trial in trials:
+            value = trial.scores[tracker].get(metric)
+            if value is not None:
+                candidate = _Candidate(number, trial, value)
+                by_scenario.setdefault(trial.source, []).append(candidate)
+    ranked = [sorted(found, key=lambda c: sign * c.value) for found in by_scenario.values()]
+    rounds = (candidate for row in zip_longest(*ranked) for candidate in row if candidate)
+    return sorted(islice(rounds, count), key=lambda c: sign * c.value)
 
 
 class _Sources:
@@ -138,9 +136,7 @@ def _played(results: StudyResults, sources: _Sources, file: str, one: _Candidate
         for t in cells[one.cell]["trackers"]
     }
     try:
-        replay, again = trial_replay(
-            sources[one.cell], trackers, results.seed, one.trial.trial, title=why
-        )
+        replay, again = trial_replay(sources[one.cell], trackers, results.seed, one.trial.trial)
     except InputError as error:
         return WorstTrial(why=f"{why}. It cannot be played again: {error}", command=command)
     if again.recording != one.trial.recording:
@@ -148,7 +144,17 @@ def _played(results: StudyResults, sources: _Sources, file: str, one: _Candidate
             why=f"{why}. It is not played here: this machine or version records other traffic",
             command=command,
         )
-    return WorstTrial(why=why, command=command, replay=replay)
+    return WorstTrial(why=why, command=command, replay=_at_its_worst(replay))
+
+
+def _at_its_worst(played: Replay) -> Replay:
+    """The replay, to begin where the first tracker's GOSPA is largest after the first second."""
+    tracker = next(iter(played.tracks))
+    frames = played.tracks[tracker].frame
+    gospa = played.series[tracker]["gospa_observable"]
+    times = np.array([played.recording.truth[frame].time for frame in frames])
+    late = times > times[:1].sum() + 1
+    return replace(played, start=int(frames[np.argmax(np.where(late, gospa, -1))]))
 
 
 def _failures(results: StudyResults, file: str) -> list[Failure]:

@@ -328,3 +328,25 @@ def test_empty_recordings_and_no_tracks_are_shown(browser, tmp_path):
     opened(browser, path)
     assert complaints(browser) == []
     assert browser.find_element("css selector", ".caption").text == "0 tracks · 5 missed · 0 false"
+
+
+def test_a_study_page_shows_its_curves_and_worst_trials(browser, tmp_path):
+    from test_report_study import cell, study
+
+    from reports.study_report import study_page
+    from reports.values import WorstTrial
+
+    scene = recording(frames=6)
+    replay = Replay(recording=scene, tracks={"a": tracks(scene)}, start=4)
+    night = study(
+        *(cell(0.5 * k, point={"rate": k}) for k in (1, 2)),
+        worst=[WorstTrial(why="crossing, trial 3", command="pmbm study", replay=replay)],
+    )
+    path = tmp_path / "study.html"
+    path.write_text(study_page(night), encoding="utf-8")
+    opened(browser, path)
+    assert frame(browser) == 4
+    browser.execute_script("document.querySelector('.curves').scrollIntoView()")
+    wait(browser, "return [...document.images].every((i) => i.complete && i.naturalWidth > 100)")
+    assert browser.execute_script("return document.images.length") == 2
+    assert complaints(browser) == []

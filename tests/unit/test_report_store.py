@@ -65,19 +65,17 @@ def test_a_report_is_what_was_stored(stored):
 
 def test_the_worst_trial_is_the_worst(stored):
     results = load_results(stored)
-    (worst,) = worst_trials(results, "pmbm", 5)
-    gospa = {
-        (cell, t.trial): t.scores["pmbm"]["gospa"]
-        for cell, ts in results.trials.items()
-        for t in ts
-    }
-    same_cell = [v for (cell, _), v in gospa.items() if cell == worst.cell]
-    assert worst.value == max(same_cell)
+    gospa = sorted(t.scores["pmbm"]["gospa"] for ts in results.trials.values() for t in ts)
+    worst, second = worst_trials(results, "pmbm", 2)
+    assert [worst.value, second.value] == gospa[:-3:-1]
+    assert len(worst_trials(results, "pmbm", 50)) == 5
     report = stored_report(stored, resolve, worst=1)
     assert len(report.worst) == 1
     replayed = report.worst[0].replay
     assert replayed.recording.digest() == worst.trial.recording
     assert list(replayed.tracks) == ["pmbm", "argoverse"]
+    values = replayed.series["pmbm"]["gospa_observable"]
+    assert values[replayed.start] == max(values[11:])  # after the first second
 
 
 def test_other_traffic_is_not_shown_as_the_trial(stored):

@@ -117,8 +117,8 @@ class Plots {
 
   lines(row, box, state) {
     const c = this.context;
-    const all = row.lines.flatMap((line) => line.values).filter((v) => v !== null);
-    const top = row.digits ? robustTop(all) : niceTop(Math.max(1, ...all));
+    const all = row.lines.flatMap((line) => line.values.map((v, frame) => [frame, v]));
+    const top = topAfterStart(this.data.times, all);
     this.axis(box, top);
     const y = (v) => box.bottom - ((box.bottom - box.top) * Math.min(v, top)) / top;
     for (const line of row.lines) {
@@ -131,13 +131,16 @@ class Plots {
       c.lineJoin = "round";
       c.beginPath();
       let open = false;
+      const cut = [];
       line.values.forEach((v, frame) => {
+        if (v > top) cut.push(frame);
         if (v === null) open = false;
         else if (open) c.lineTo(this.x(frame), y(v));
         else c.moveTo(this.x(frame), y(v));
         open = v !== null;
       });
       c.stroke();
+      cut.forEach((frame) => this.cut(this.x(frame), box.top));
       c.restore();
     }
     this.heading(row, box, row.lines.map((line) => ({
@@ -154,8 +157,8 @@ class Plots {
       name, colour: this.colours[key], values: onFrames(this.data, tracker, tracker.series[key] ?? []),
     }));
     const sums = this.data.trackers.flatMap((t) =>
-      t.steps.map((_, i) => COMPONENTS.reduce((s, [key]) => s + (t.series[key]?.[i] ?? 0), 0)));
-    const top = robustTop(sums);
+      t.steps.map((frame, i) => [frame, COMPONENTS.reduce((s, [key]) => s + (t.series[key]?.[i] ?? 0), 0)]));
+    const top = topAfterStart(this.data.times, sums);
     this.axis(box, top);
     const height = (box.bottom - box.top) / top;
     const width = Math.max(1, this.x(1) - this.x(0));
@@ -222,13 +225,12 @@ function niceStep(rough) {
   return [1, 2, 5, 10, 20].map((m) => m * power).find((step) => step >= rough * 0.999);
 }
 
-// The start of a run, when nothing is tracked yet, must not flatten the rest: an axis ends near the
-// bulk of the values, and what lies beyond is marked as cut.
-function robustTop(values) {
-  const sorted = values.filter((v) => v !== null).sort((a, b) => a - b);
-  const largest = sorted[sorted.length - 1] ?? 1;
-  const bulk = sorted[Math.floor(0.95 * (sorted.length - 1))] ?? 1;
-  return niceTop(Math.max(0.1, largest > 2 * bulk ? 1.6 * bulk : largest));
+// The top of an axis for rows of (frame, value).  The first second of a run, when nothing is
+// tracked yet, must not flatten the rest: what is larger only there is cut, and marked.
+function topAfterStart(times, pairs) {
+  const largest = (kept) => Math.max(0.1, ...kept.filter(([, v]) => v !== null).map(([, v]) => v));
+  const later = pairs.filter(([frame]) => times[frame] > times[0] + 1);
+  return niceTop(largest(later.length ? later : pairs) * 1.05);
 }
 
 function niceTop(value) {
