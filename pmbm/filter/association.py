@@ -65,10 +65,9 @@ class Association:
     parents : the global hypotheses, joined where a measurement ties clusters together.
     cluster (M,) : the (joined) cluster that each measurement belongs to.
     known : pairs of local hypotheses and measurements.
-    undetected : pairs of PPP components and measurements, sorted by measurement.
+    undetected : pairs of PPP components and measurements.
     log_missed (H,) : log(1 - r P_D).  existence_if_missed (H,) : r of a missed track.
     detection_undetected (P,) : P_D of the PPP components.
-    share (n,) : of each undetected pair in all of its measurement, adding up to one.
     log_first (M,) : log e, e = sum of w P_D N(z) over gated PPP components; -inf where none is.
     log_new (M,) : log(lambda_c + e).
     """
@@ -80,7 +79,6 @@ class Association:
     log_missed: FloatArray
     existence_if_missed: FloatArray
     detection_undetected: FloatArray
-    share: FloatArray
     log_first: FloatArray
     log_new: FloatArray
     children: Children
@@ -111,7 +109,7 @@ def associate(
 
     ppp = density.undetected
     detection_undetected = sensor.detection_probability(ppp.mean, ppp.cov)
-    undetected, log_first, share = _first_detections(
+    undetected, log_first = _first_detections(
         ppp, ppp.log_weight + _log(detection_undetected), z, sensor, gate_threshold
     )
     log_clutter = _log(sensor.clutter)
@@ -143,7 +141,6 @@ def associate(
         log_missed,
         existence_if_missed,
         detection_undetected,
-        share,
         log_first,
         log_new,
         children,
@@ -178,25 +175,13 @@ def _gated(
 
 def _first_detections(
     ppp: Mixture, log_detected: FloatArray, z: FloatArray, sensor: Sensor, threshold: float
-) -> tuple[Pairs, FloatArray, FloatArray]:
-    """Gated pairs of PPP components and measurements, sorted by measurement, log e (M,), and the
-    share of each pair in its measurement's e."""
+) -> tuple[Pairs, FloatArray]:
+    """Gated pairs of PPP components and measurements, and log e (M,)."""
     pairs = _gated(ppp.mean, ppp.cov, log_detected, z, sensor, threshold)
-    order = np.argsort(pairs.measurement, kind="stable")
-    pairs = Pairs(
-        pairs.row[order], pairs.measurement[order], pairs.y[order], pairs.log_weight[order]
-    )
-    log_first, share = np.full(len(z), -np.inf), np.zeros(0)
-    if len(order):
-        count = np.bincount(pairs.measurement, minlength=len(z))
-        seen = np.flatnonzero(count)
-        first = (np.cumsum(count) - count)[seen]
-        top = np.maximum.reduceat(pairs.log_weight, first)
-        share = np.exp(pairs.log_weight - np.repeat(top, count[seen]))
-        total = np.add.reduceat(share, first)
-        log_first[seen] = top + np.log(total)
-        share = share / np.repeat(total, count[seen])
-    return pairs, log_first, share
+    if not len(pairs.row):
+        return pairs, np.full(len(z), -np.inf)
+    top = pairs.log_weight.max()
+    return pairs, top + _log(summed(np.exp(pairs.log_weight - top), pairs.measurement, len(z)))
 
 
 def _children(

@@ -84,7 +84,7 @@ class PMBMConfig:
     birth_speed_sd: float = 10.0
     gate: float = 20.0
     max_hypotheses: int = 200
-    prune_hypothesis: float = 1e-4
+    prune_hypothesis: float = 1e-3
     recycle_below: float = 0.01
     recycle: bool = True
     prune_undetected: float = 1e-5

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -13,6 +15,8 @@ _DENSE_BELOW = 20_000
 """Gaussians times measurements; below it, looking at every pair costs less than a tree."""
 _NEIGHBOURS = 4
 """Measurements fetched per Gaussian in the first, vectorised look-up."""
+_USUAL_WIDTH = 4.0
+"""Reaches up to this many times the median are looked up together."""
 
 
 def gate(
@@ -43,26 +47,29 @@ def near(centre: FloatArray, radius: FloatArray, z: FloatArray) -> tuple[Index, 
 def _near_by_tree(centre: FloatArray, radius: FloatArray, z: FloatArray) -> tuple[Index, Index]:
     """`near` where there are too many pairs to look at each.
 
-    Most gates are about equally wide and hold few measurements: these are looked up together.
-    Wide and crowded ones are looked up one by one.
+    Most reaches are about equally wide and hold few points: these are looked up together.  The
+    crowded ones among them are looked up again, and the wide ones compared with every point.
     """
     tree = cKDTree(z)
-    usual = radius <= 4 * np.median(radius)
+    usual = radius <= _USUAL_WIDTH * np.median(radius)
     rows = np.flatnonzero(usual)
     k = min(_NEIGHBOURS, len(z))
     distance, found = tree.query(
         centre[rows], k=np.arange(1, k + 1), distance_upper_bound=radius[rows].max()
     )
-    crowded = np.isfinite(distance[:, -1]) if k == _NEIGHBOURS else np.zeros(len(rows), bool)
-    in_reach = (distance <= radius[rows][:, None]) & ~crowded[:, None]
-    i, j = np.nonzero(in_reach)
-    row, column = [rows[i]], [found[i, j]]
-    others = np.concatenate([rows[crowded], np.flatnonzero(~usual)])
-    for one, neighbours in zip(
-        others.tolist(), tree.query_ball_point(centre[others], radius[others]), strict=True
-    ):
-        row.append(np.full(len(neighbours), one))
-        column.append(np.array(neighbours, dtype=np.intp))
-    all_rows, all_columns = np.concatenate(row), np.concatenate(column)
-    order = np.lexsort((all_columns, all_rows))
-    return all_rows[order], all_columns[order]
+    within = distance <= radius[rows][:, None]
+    crowded = within[:, -1].copy() if k < len(z) else np.zeros(len(rows), bool)
+    within[crowded] = False
+    i, j = np.nonzero(within)
+    again = rows[crowded]
+    lists = tree.query_ball_point(centre[again], radius[again])
+    length = np.fromiter(map(len, lists), np.intp, len(lists))
+    wide = np.flatnonzero(~usual)
+    close = np.hypot(*(centre[wide, :, None] - z.T).transpose(1, 0, 2)) <= radius[wide, None]
+    wide_row, wide_column = np.nonzero(close)
+    row = np.concatenate([rows[i], np.repeat(again, length), wide[wide_row]])
+    column = np.concatenate(
+        [found[i, j], np.fromiter(chain.from_iterable(lists), np.intp), wide_column]
+    )
+    order = np.lexsort((column, row))
+    return row[order], column[order]

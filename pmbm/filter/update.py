@@ -102,7 +102,7 @@ def _hypotheses(association: Association, H: int) -> Globals:
 
 
 def normalised(log_weight: FloatArray, cluster: Index) -> FloatArray:
-    """Log weights (G,) that add up to one within each cluster (G,), sorted."""
+    """Log weights (G,) that add up to one within each cluster (G,), which is sorted."""
     if not len(log_weight):
         return log_weight
     first = np.flatnonzero(np.diff(cluster, prepend=-1))
@@ -154,13 +154,13 @@ def _first_detected(
     Its state is the fused distribution over the gated PPP components, weighted by w P_D N(z).
     Where no component is in the gate, r = 0 and the state says where the measurement was.
     """
-    mean, cov = _fused(density.undetected, scan, association, sensor)
+    mean, cov = _fused(density.undetected, scan, association, sensor, measurements)
     L = density.local.history.shape[1]
     return Locals(
         len(density.track_id) + measurements,
         np.exp(association.log_first - association.log_new)[measurements],
-        mean[measurements],
-        cov[measurements],
+        mean,
+        cov,
         scan.box[measurements],
         scan.label[measurements],
         _remember(np.full((len(measurements), L), BEFORE, np.int32), measurements),
@@ -169,25 +169,33 @@ def _first_detected(
 
 
 def _fused(
-    ppp: Mixture, scan: Scan, association: Association, sensor: Sensor
+    ppp: Mixture, scan: Scan, association: Association, sensor: Sensor, measurements: Index
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean (M,4) and covariance (M,4,4) of the object that each measurement may be the first of."""
-    pairs, M = association.undetected, len(scan)
-    mean = np.zeros((M, 4))
-    mean[:, :2] = scan.position
-    cov = np.zeros((M, 4, 4))
+    """Means (n,4) and covariances (n,4,4) of the objects that these measurements (n,) may be the
+    first detections of."""
+    n = len(measurements)
+    mean = np.zeros((n, 4))
+    mean[:, :2] = scan.position[measurements]
+    cov = np.zeros((n, 4, 4))
     cov[:, :2, :2] = cov[:, 2:, 2:] = sensor.R
-    if len(pairs.row):
+    wanted = np.full(len(scan), -1, np.intp)
+    wanted[measurements] = np.arange(n)
+    pairs = association.undetected
+    target = wanted[pairs.measurement]
+    kept = np.flatnonzero(target >= 0)
+    if len(kept):
+        kept = kept[np.argsort(target[kept], kind="stable")]
+        component, target = pairs.row[kept], target[kept]
         innovation = Innovation.of(ppp.mean, ppp.cov, sensor.R)
         W = gain(ppp.cov, innovation)
         after = corrected_cov(ppp.cov, W, sensor.R, innovation)
-        count = np.bincount(pairs.measurement, minlength=M)
-        seen = np.flatnonzero(count)
-        first = (np.cumsum(count) - count)[seen]
+        first = np.flatnonzero(np.diff(target, prepend=-1))
+        log_share = normalised(pairs.log_weight[kept], target)
+        seen = target[first]
         mean[seen], cov[seen] = moments(
-            association.share,
-            corrected_mean(ppp.mean[pairs.row], W[pairs.row], pairs.y),
-            after[pairs.row],
+            np.exp(log_share),
+            corrected_mean(ppp.mean[component], W[component], pairs.y[kept]),
+            after[component],
             first,
         )
     return mean, cov
