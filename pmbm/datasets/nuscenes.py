@@ -332,7 +332,7 @@ class _Tables:
                 for field in ("num_lidar_pts", "num_radar_pts")
             )
             level = json_key(record, "visibility_token", place)
-            if level not in _VISIBILITY:
+            if not isinstance(level, str) or level not in _VISIBILITY:
                 raise place.error(
                     "an unknown visibility", field="visibility_token",
                     expected=list(_VISIBILITY), got=level,

@@ -329,7 +329,7 @@ def _read_box(item: Mapping[str, Any], label: Mapping[str, Any], name: str, plac
     )
 
 
-def _kind(number: Any, place: Place, field: str) -> str:
+def _kind(number: int, place: Place, field: str) -> str:
     if number not in _TYPES:
         raise place.error("an unknown type", field=field, expected=sorted(_TYPES), got=number)
     return _TYPES[number]
@@ -356,7 +356,7 @@ def _read_v2_boxes(path: Path, sequence: str) -> Found:
         length, width, height = numbers(values, _V2_SIZE, place, above=0.0, within=LARGEST_SIZE)
         (heading,) = numbers(values, (_V2_HEADING,), place, within=_LARGEST_ANGLE)
         box = Box(
-            kind=_kind(values[_V2_TYPE], place, _V2_TYPE),
+            kind=_kind(integer(values[_V2_TYPE], place, _V2_TYPE), place, _V2_TYPE),
             name=name,
             place=(x, y, z),
             size=(length, width, height),
