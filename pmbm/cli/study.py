@@ -84,10 +84,12 @@ def _finish(study: Study, file: Path, store: Path, done: Progress, export_file: 
     for index in done.damaged:
         click.echo(f"trial {index} was damaged in the store and was run again", err=True)
     results = load_results(store)
-    for row in results.failures.itertuples():
-        label = results.cells["label"].tolist()[int(row.cell)]
-        again = shlex.join(["pmbm", "study", str(file), "--replay", str(row.index)])
-        click.echo(f"{row.outcome}: trial {row.trial} of {label}: {row.error}; replay: {again}")
+    for row in results.failures.to_dict("records"):
+        label = study.cells[row["cell"]].label
+        again = shlex.join(["pmbm", "study", str(file), "--replay", str(row["index"])])
+        click.echo(
+            f"{row['outcome']}: trial {row['trial']} of {label}: {row['error']}; replay: {again}"
+        )
     click.echo(f"{store}: {done.done} trials, {done.failed} failed, digest {results.digest}")
     if export_file is not None:
         export(results, export_file)

@@ -57,7 +57,7 @@ class StudyResults:
 
     @property
     def trackers(self) -> tuple[str, ...]:
-        return tuple(self.document["cells"][0]["trackers"])
+        return tuple(tracker["name"] for tracker in self.document["cells"][0]["trackers"])
 
     @property
     def failures(self) -> pd.DataFrame:
@@ -104,14 +104,16 @@ def load_results(file: Path | str) -> StudyResults:
         if row.outcome != "ok":
             continue
         settings = tuple(points[number].get(name) for name in parameters)
-        for tracker, scores in result["scores"].items():
-            for metric, value in scores.items():
+        names = [tracker["name"] for tracker in cells[number]["trackers"]]
+        scores = {name: result["scores"][name] for name in names}
+        times = {name: StepTime(*measured["steps"][name]) for name in names}
+        for tracker, values in scores.items():
+            for metric, value in values.items():
                 score_rows.append((*where, tracker, metric, value, *settings))
-        times = {name: StepTime(*values) for name, values in measured["steps"].items()}
         for tracker, time in times.items():
             time_rows.append((index, number, tracker, time.mean, time.median, time.p99))
         trials.setdefault(number, []).append(
-            TrialResult(scenario, seed, trial, result["recording"], result["scores"], times)
+            TrialResult(scenario, seed, trial, result["recording"], scores, times)
         )
     place = ["index", "cell", "scenario", "trial"]
     scores_table = pd.DataFrame(

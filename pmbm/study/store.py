@@ -101,7 +101,8 @@ class Store:
 
     @property
     def contents(self) -> Contents:
-        return _contents(self._connection, self._file)
+        with _named(self._file):
+            return _contents(self._connection, self._file)
 
     def forget(self, indices: Iterable[int]) -> None:
         """Remove rows, so that they are run again."""

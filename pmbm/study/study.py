@@ -120,10 +120,14 @@ class Study:
                     "scenario": cell.scenario,
                     "point": dict(cell.point),
                     "source": _identity(cell.source),
-                    "trackers": {
-                        name: {"factory": tracker.factory, "parameters": dict(tracker.parameters)}
+                    "trackers": [
+                        {
+                            "name": name,
+                            "factory": tracker.factory,
+                            "parameters": dict(tracker.parameters),
+                        }
                         for name, tracker in cell.trackers.items()
-                    },
+                    ],
                 }
                 for cell in self.cells
             ],

@@ -1,6 +1,10 @@
 """Small worlds, trackers and scores for tests of studies; all pickle by name."""
 
+import os
+import signal
+import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -98,3 +102,33 @@ def toy_scores(recording, tracks):
         "error": float(np.concatenate(errors).mean()) if errors else None,
         "reports": float(np.mean([len(report) for report in tracks])),
     }
+
+
+@dataclass(frozen=True)
+class Trouble(Convoy):
+    """A convoy whose trials go wrong as `how` says: trial -> what happens there."""
+
+    how: tuple[tuple[int, str], ...] = ()
+    folder: str = ""
+
+    def record(self, seed, trial=0):
+        what = dict(self.how).get(trial)
+        if what == "raises":
+            raise RuntimeError(f"trial {trial} at {object()!r} went wrong")
+        if what == "hangs":
+            time.sleep(600)
+        if what == "hangs deaf":
+            signal.signal(signal.SIGALRM, signal.SIG_IGN)
+            time.sleep(600)
+        if what == "dies":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if what == "dies once":
+            mark = Path(self.folder) / f"died{trial}"
+            if not mark.exists():
+                mark.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+        if what == "eats":
+            np.ones(10**10)
+        if what == "slow":
+            time.sleep(0.15)
+        return super().record(seed, trial)
