@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmbm.metrics.clear import ClearCounts, clear_counts, clear_matches
+from pmbm.metrics.clear import ClearCounts, clear_counts, clear_matches, gated_pairs
 from pmbm.metrics.identity import IdentityCounts, identity_counts
 from pmbm.metrics.scene import Scene
 
@@ -67,7 +67,7 @@ def argoverse1_counts(
     return Argoverse1Counts(
         frames=int(((scene.truth.count(frames) + scene.tracks.count(frames)) > 0).sum()),
         clear=clear_counts(scene, matches),
-        identity=identity_counts(scene, np.flatnonzero(scene.pairs.distance_xyz < gate)),
+        identity=identity_counts(scene, gated_pairs(scene, gate)),
         orientation_sum=float(np.degrees(turn).sum()),
         size_sum=float((1.0 - overlap / union).sum()),
     )

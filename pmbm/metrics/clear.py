@@ -79,21 +79,24 @@ def clear_matches(scene: Scene, gate: float = 2.0) -> Matches:
     """
     if not 0 < gate < np.inf:
         raise InputError("bad gate", field="gate", expected="above 0 m", got=gate)
-    return continuing_matches(scene, np.flatnonzero(scene.pairs.distance_xyz < gate))
+    return continuing_matches(scene, gated_pairs(scene, gate))
 
 
-def continuing_matches(
-    scene: Scene, gated: IntArray, distance: FloatArray | None = None
-) -> Matches:
+def gated_pairs(scene: Scene, gate: float) -> Pairs:
+    """The pairs strictly nearer than `gate` between centres in (x, y, z), m."""
+    near = scene.near(gate)
+    return near.take(near.distance_xyz < gate)
+
+
+def continuing_matches(scene: Scene, gated: Pairs, distance: FloatArray | None = None) -> Matches:
     """`clear_matches` with any gate and any distance.
 
-    gated (G,) : the pairs (rows of `scene.pairs`) that may match.
-    distance (Q,) : of the scene's pairs; between centres in (x, y, z) unless given.
+    gated : the pairs that may match.
+    distance (G,) : of these; between centres in (x, y, z) unless given.
     """
-    distance = scene.pairs.distance_xyz if distance is None else distance
-    pairs, cost = scene.pairs.take(gated), distance[gated]
-    chosen = _continue_tracks(scene, pairs, cost)
-    return matches_of(scene, pairs.take(chosen), cost[chosen])
+    cost = gated.distance_xyz if distance is None else distance
+    chosen = _continue_tracks(scene, gated, cost)
+    return matches_of(scene, gated.take(chosen), cost[chosen])
 
 
 def matches_of(scene: Scene, pairs: Pairs, distance: FloatArray) -> Matches:

@@ -15,7 +15,7 @@ from pmbm.labels import Label
 from pmbm.metrics import catalogue
 from pmbm.metrics.calibration import reliability
 from pmbm.metrics.catalogue import MetricParameters
-from pmbm.metrics.clear import Matches, clear_counts, clear_matches
+from pmbm.metrics.clear import Matches, clear_counts, clear_matches, gated_pairs
 from pmbm.metrics.consistency import normalised_squares
 from pmbm.metrics.gospa import gospa_series
 from pmbm.metrics.hota import distance_similarity, hota_counts
@@ -105,6 +105,8 @@ def _values(
     scene: Scene, names: Iterable[str], parameters: MetricParameters
 ) -> tuple[MetricValue, ...]:
     everything = _Work(scene=scene, parameters=parameters)
+    # Found once at the farthest that any of them looks, and kept for the nearer.
+    scene.near(max(parameters.ospa_cutoff, parameters.gospa_cutoff))
     observable: _Work | None = None
     tallies: dict[tuple[str, bool], _Tally] = {}
     values = []
@@ -177,7 +179,7 @@ def _clear(work: _Work) -> _Tally:
 
 
 def _identity(work: _Work) -> _Tally:
-    together = np.flatnonzero(work.scene.pairs.distance_xyz < work.parameters.gate)
+    together = gated_pairs(work.scene, work.parameters.gate)
     return _Tally(
         counts=asdict(identity_counts(work.scene, together)),
         series={},
@@ -187,9 +189,10 @@ def _identity(work: _Work) -> _Tally:
 
 def _hota(work: _Work) -> _Tally:
     zero_at = work.parameters.similarity_zero
-    similarity = distance_similarity(work.scene.pairs.distance_xyz, zero_at)
+    pairs = work.scene.near(zero_at)
+    similarity = distance_similarity(pairs.distance_xyz, zero_at)
     return _Tally(
-        counts=asdict(hota_counts(work.scene, similarity)),
+        counts=asdict(hota_counts(work.scene, pairs, similarity)),
         series={},
         parameters={"similarity": "max(0, 1 - d / similarity_zero)", "similarity_zero": zero_at},
     )

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmbm.errors import InputError
 from pmbm.geometry import centre_distance
 from pmbm.metrics.matching import best_matching
-from pmbm.metrics.scene import Scene
+from pmbm.metrics.scene import Pairs, Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,7 +30,7 @@ class GospaSeries:
     localisation, missed, false (F,) : parts of distance^order, m^order.
     missed_count, false_count (F,) : objects without a track nearer than the cutoff, and tracks
         without an object.
-    pairs : the assigned pairs, as indices into the scene's pairs.
+    pairs : the assigned pairs.
     """
 
     distance: FloatArray
@@ -39,7 +39,7 @@ class GospaSeries:
     false: FloatArray
     missed_count: IntArray
     false_count: IntArray
-    pairs: IntArray
+    pairs: Pairs
 
 
 def gospa_series(scene: Scene, cutoff: float = 4.0, order: float = 2.0) -> GospaSeries:
@@ -49,8 +49,7 @@ def gospa_series(scene: Scene, cutoff: float = 4.0, order: float = 2.0) -> Gospa
     order : p >= 1.
     """
     check_cutoff_and_order(cutoff, order)
-    near = np.flatnonzero(scene.pairs.distance < cutoff)
-    pairs = scene.pairs.take(near)
+    pairs = scene.near(cutoff)
     power = pairs.distance**order
     chosen = best_matching(pairs.truth, pairs.track, cutoff**order - power)
     frames = len(scene)
@@ -69,7 +68,7 @@ def gospa_series(scene: Scene, cutoff: float = 4.0, order: float = 2.0) -> Gospa
         false=false,
         missed_count=missed_count,
         false_count=false_count,
-        pairs=near[chosen],
+        pairs=pairs.take(chosen),
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pmbm.metrics.identity import id_pairs
 from pmbm.metrics.matching import best_matching
-from pmbm.metrics.scene import Scene
+from pmbm.metrics.scene import Pairs, Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -48,17 +48,17 @@ def distance_similarity(distance: FloatArray, zero_at: float = 4.0) -> FloatArra
     return np.maximum(0.0, 1.0 - distance / zero_at)
 
 
-def hota_counts(scene: Scene, similarity: FloatArray) -> HotaCounts:
+def hota_counts(scene: Scene, pairs: Pairs, similarity: FloatArray) -> HotaCounts:
     """Match every frame by global alignment times similarity, and count at each threshold.
 
-    similarity (Q,) : of the scene's pairs, in [0, 1].
+    pairs : all pairs of the scene that are alike at all.
+    similarity (Q,) : of these, in [0, 1].
     """
-    alike = np.flatnonzero(similarity > 0)
-    s = similarity[alike]
-    truth, track = scene.pairs.truth[alike], scene.pairs.track[alike]
+    pairs, s = pairs.take(similarity > 0), similarity[similarity > 0]
+    truth, track = pairs.truth, pairs.track
     of_truth = np.bincount(truth, s, minlength=len(scene.truth))[truth]
     of_track = np.bincount(track, s, minlength=len(scene.tracks))[track]
-    truth_id, track_id, place, _ = id_pairs(scene, alike)
+    truth_id, track_id, place, _ = id_pairs(scene, pairs)
     truth_rows = np.bincount(scene.truth.index, minlength=1)[truth_id]
     track_rows = np.bincount(scene.tracks.index, minlength=1)[track_id]
     overlap = np.bincount(place, s / (of_truth + of_track - s), minlength=len(truth_id))

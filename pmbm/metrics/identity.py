@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmbm.metrics.matching import best_matching
-from pmbm.metrics.scene import Scene
+from pmbm.metrics.scene import Pairs, Scene
 
 IntArray = NDArray[np.int64]
 
@@ -27,10 +27,10 @@ class IdentityCounts:
     false_positives: int
 
 
-def identity_counts(scene: Scene, together: IntArray) -> IdentityCounts:
+def identity_counts(scene: Scene, together: Pairs) -> IdentityCounts:
     """Assign object ids to track ids one to one, so that most rows agree.
 
-    together (Q,) : the pairs of the scene (indices into `scene.pairs`) that are inside the gate.
+    together : the pairs of the scene that are inside the gate.
     """
     truth_id, track_id, _, frames = id_pairs(scene, together)
     chosen = best_matching(truth_id, track_id, frames.astype(np.float64))
@@ -42,15 +42,15 @@ def identity_counts(scene: Scene, together: IntArray) -> IdentityCounts:
     )
 
 
-def id_pairs(scene: Scene, pairs: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """The distinct pairs of ids among pairs of rows (Q,), in ascending order.
+def id_pairs(scene: Scene, pairs: Pairs) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+    """The distinct pairs of ids among Q pairs of rows, in ascending order.
 
     Returns the object's and the track's place among the ids (U,) and (U,), the place of each pair
     of rows among them (Q,), and how many pairs of rows each has (U,).
     """
     n_tracks = max(len(scene.tracks.ids), 1)
-    truth_id = scene.truth.index[scene.pairs.truth[pairs]]
-    track_id = scene.tracks.index[scene.pairs.track[pairs]]
+    truth_id = scene.truth.index[pairs.truth]
+    track_id = scene.tracks.index[pairs.track]
     key, place, count = np.unique(
         truth_id * n_tracks + track_id, return_inverse=True, return_counts=True
     )

@@ -9,7 +9,9 @@ choices the outcome depends on ids alone, never on the order of objects inside a
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,9 @@ from scipy.sparse.csgraph import connected_components
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+_BATCH: Final = 32
+"""Rows, or columns, of components that are solved in one call."""
 
 
 def best_matching(rows: IntArray, columns: IntArray, benefit: FloatArray) -> IntArray:
@@ -62,32 +67,37 @@ def _contested(
         (np.ones(len(row), np.int8), (row, column + n_rows)), shape=(nodes, nodes)
     ).tocsr()
     components, label = connected_components(graph, directed=False)
-    row_label, column_label = label[:n_rows], label[n_rows:]
-    rows_of = np.bincount(row_label, minlength=components)
-    columns_of = np.bincount(column_label, minlength=components)
-    local_row = _numbers_within(row_label, rows_of)
-    local_column = _numbers_within(column_label, columns_of)
-
-    pair_label = row_label[row]
+    rows_of = np.bincount(label[:n_rows], minlength=components)
+    columns_of = np.bincount(label[n_rows:], minlength=components)
     star = (rows_of == 1) | (columns_of == 1)
+    pair_label = label[row]
     in_star = np.flatnonzero(star[pair_label])
     # One row, or one column, takes its best pair; the first of equals.
-    best_first = in_star[np.lexsort((in_star, -benefit[in_star], pair_label[in_star]))]
-    yield names[best_first[np.unique(pair_label[best_first], return_index=True)[1]]]
+    best_first = in_star[np.lexsort((-benefit[in_star], pair_label[in_star]))]
+    first = np.diff(pair_label[best_first], prepend=-1) != 0
+    yield names[best_first[first]]
 
+    # Small components are solved together: a call costs more than the zeros between them.
+    size = np.where(star, 0, np.maximum(rows_of, columns_of))
+    batch = (np.cumsum(size) - size) // _BATCH
+    row_batch, column_batch = batch[label[:n_rows]], batch[label[n_rows:]]
+    row_batch[star[label[:n_rows]]] = column_batch[star[label[n_rows:]]] = -1
     others = np.flatnonzero(~star[pair_label])
-    others = others[np.argsort(pair_label[others], kind="stable")]
-    cuts = np.flatnonzero(np.diff(pair_label[others])) + 1
-    for pairs in np.split(others, cuts) if len(others) else ():
-        component = pair_label[pairs[0]]
-        shape = (rows_of[component], columns_of[component])
-        i, j = local_row[row[pairs]], local_column[column[pairs]]
-        value = np.zeros(shape)
-        value[i, j] = benefit[pairs]
-        name = np.full(shape, -1)
-        name[i, j] = names[pairs]
-        taken = name[linear_sum_assignment(value, maximize=True)]
-        yield taken[taken >= 0]
+    others = others[np.argsort(row_batch[row[others]], kind="stable")]
+    place_row, height = _places_within(row_batch)
+    place_column, width = _places_within(column_batch)
+    own_row, own_column = row[others], column[others]
+    i, j, value = place_row[own_row], place_column[own_column], benefit[others]
+    own_batch = row_batch[own_row]
+    cuts = np.flatnonzero(np.diff(own_batch, prepend=-1, append=-1))
+    used = own_batch[cuts[:-1]]
+    partner = np.full((len(used), int(height.max(initial=0))), -1)
+    for number, (begin, end) in enumerate(itertools.pairwise(cuts.tolist())):
+        table = np.zeros((height[used[number]], width[used[number]]))
+        table[i[begin:end], j[begin:end]] = value[begin:end]
+        rows_taken, columns_taken = linear_sum_assignment(table, maximize=True)
+        partner[number, rows_taken] = columns_taken
+    yield names[others[partner[np.searchsorted(used, own_batch), i] == j]]
 
 
 def _dense_numbers(numbers: IntArray) -> IntArray:
@@ -97,10 +107,12 @@ def _dense_numbers(numbers: IntArray) -> IntArray:
     return (np.cumsum(present) - 1)[numbers]
 
 
-def _numbers_within(label: IntArray, sizes: IntArray) -> IntArray:
-    """The place of each node among the nodes of its component, in ascending order."""
-    order = np.argsort(label, kind="stable")
+def _places_within(group: IntArray) -> tuple[IntArray, IntArray]:
+    """The place of each node among the nodes of its group (-1: of none), in ascending order, and
+    the size of each group."""
+    order = np.argsort(group, kind="stable")
+    sizes = np.bincount(group[order] + 1)
     first = np.cumsum(sizes) - sizes
-    place = np.empty(len(label), np.int64)
-    place[order] = np.arange(len(label)) - first[label[order]]
-    return place
+    place = np.empty(len(group), np.int64)
+    place[order] = np.arange(len(group)) - first[group[order] + 1]
+    return place, sizes[1:]

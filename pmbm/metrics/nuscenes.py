@@ -178,8 +178,8 @@ def _waits(scene: Scene, matches: Matches) -> list[tuple[int, int]]:
 
 
 def _matches(scene: Scene, gate: float) -> Matches:
-    distance = scene.pairs.distance
-    return continuing_matches(scene, np.flatnonzero(distance < gate), distance)
+    gated = scene.near(gate)
+    return continuing_matches(scene, gated, gated.distance)
 
 
 def _without_empty_frames(scene: Scene) -> Scene:

@@ -43,7 +43,7 @@ def ospa_series(scene: Scene, cutoff: float = 10.0, order: float = 2.0) -> OspaS
     cutoff : c > 0, m.  order : p >= 1, finite.
     """
     check_cutoff_and_order(cutoff, order)
-    pairs = scene.pairs.take(scene.pairs.distance < cutoff)
+    pairs = scene.near(cutoff)
     power = pairs.distance**order
     # Full assignments of distances cut at c, and partial ones of pairs nearer than c, have the
     # same optimum: whoever is left over pairs up at c.

@@ -120,21 +120,72 @@ class Scene:
     @cached_property
     def pairs(self) -> Pairs:
         """Every pair of a truth and a track of the same frame."""
-        truth, track = pair_rows(self.truth.frame, self.tracks.count(len(self)))
-        offset = self.truth.position[truth] - self.tracks.position[track]
-        squared = offset * offset
-        flat = squared[:, 0] + squared[:, 1]
-        return Pairs(
-            frame=self.truth.frame[truth],
-            truth=truth,
-            track=track,
-            distance=np.sqrt(flat),
-            distance_xyz=np.sqrt(flat + squared[:, 2]),
-        )
+        return _measured(self, *pair_rows(self.truth.frame, self.tracks.count(len(self))))
+
+    def near(self, distance: float) -> Pairs:
+        """The pairs whose centres are nearer than this in (x, y), m; kept for smaller distances."""
+        reach, pairs = self.__dict__.get("_near", (-np.inf, None))
+        if reach < distance:
+            pairs = _near_pairs(self, distance)
+            self.__dict__["_near"] = (distance, pairs)
+        elif distance < reach:
+            pairs = pairs.take(pairs.distance < distance)
+        return pairs
 
     def with_rows(self, truth: ArrayLike, tracks: ArrayLike) -> Scene:
         """The same frames with only these rows of either side."""
         return Scene(time=self.time, truth=self.truth.take(truth), tracks=self.tracks.take(tracks))
+
+
+def _measured(scene: Scene, truth: IntArray, track: IntArray) -> Pairs:
+    """These pairs of rows with their distances."""
+    offset = scene.truth.position[truth] - scene.tracks.position[track]
+    offset *= offset
+    flat = offset[:, 0] + offset[:, 1]
+    return Pairs(
+        frame=scene.truth.frame[truth],
+        truth=truth,
+        track=track,
+        distance=np.sqrt(flat),
+        distance_xyz=np.sqrt(flat + offset[:, 2]),
+    )
+
+
+def _near_pairs(scene: Scene, distance: float) -> Pairs:
+    """The pairs nearer than `distance`, found by sweeping along x or y in all frames at once."""
+    truth, tracks = scene.truth, scene.tracks
+    if len(truth) == 0 or len(tracks) == 0:
+        return scene.pairs
+    own, theirs = truth.position[:, :2].T.copy(), tracks.position[:, :2].T.copy()
+    low = np.minimum(own.min(axis=1), theirs.min(axis=1))
+    extent = np.maximum(own.max(axis=1), theirs.max(axis=1)) - low
+    axis = int(extent[1] > extent[0])
+    # Frames lie one after the other along one line, too far apart to meet.
+    stride = extent[axis] + 2 * distance + 1.0
+    truth_key = truth.frame * stride + (own[axis] - low[axis])
+    track_key = tracks.frame * stride + (theirs[axis] - low[axis])
+    rounding = 8 * np.finfo(np.float64).eps * (len(scene) * stride + np.abs(low).max())
+    margin = distance + rounding
+    order = np.argsort(track_key)
+    track_key = track_key[order]
+    first = np.searchsorted(track_key, truth_key - margin)
+    beyond = np.searchsorted(track_key, truth_key + margin)
+    a, place = _ranges(first, beyond)
+    across = own[1 - axis][a] - theirs[1 - axis][order][place]
+    near = np.flatnonzero(np.abs(across) < margin)
+    a, b = a[near], order[place[near]]
+    # By track inside each truth row, which the sweep leaves in order of place.
+    in_order = np.argsort(a * np.int64(len(tracks)) + b)
+    pairs = _measured(scene, a[in_order], b[in_order])
+    return pairs.take(np.flatnonzero(pairs.distance < distance))
+
+
+def _ranges(first: IntArray, beyond: IntArray) -> tuple[IntArray, IntArray]:
+    """The numbers first[i] to beyond[i] - 1 for every i: which i (E,), and the number (E,)."""
+    count = beyond - first
+    which = np.repeat(np.arange(len(first)), count)
+    begin = np.cumsum(count) - count
+    return which, np.arange(len(which)) - np.repeat(begin - first, count)
 
 
 def pair_overlap(scene: Scene, *, vertical: bool = True) -> FloatArray:
@@ -155,12 +206,8 @@ def pair_overlap(scene: Scene, *, vertical: bool = True) -> FloatArray:
 
 def pair_rows(truth_frame: IntArray, tracks_per_frame: IntArray) -> tuple[IntArray, IntArray]:
     """Rows (Q,) and (Q,) of all truth and track pairs of a frame, both sides sorted by frame."""
-    partners = tracks_per_frame[truth_frame]
-    first_track = np.cumsum(tracks_per_frame) - tracks_per_frame
-    truth = np.repeat(np.arange(len(truth_frame)), partners)
-    first_pair = np.cumsum(partners) - partners
-    shift = np.repeat(first_pair - first_track[truth_frame], partners)
-    return truth, np.arange(len(truth)) - shift
+    beyond = np.cumsum(tracks_per_frame)
+    return _ranges((beyond - tracks_per_frame)[truth_frame], beyond[truth_frame])
 
 
 def scene_of(recording: Recording, tracks: TrackSequence | Sequence[Tracks]) -> Scene:

@@ -134,8 +134,7 @@ def siap_counts(scene: Scene, associations: Sequence[Association]) -> SiapCounts
 
 def _nearest_truth(scene: Scene, gate: float) -> IntArray:
     """For each track row the place of the nearest object's id, or -1; the lower id of equals."""
-    near = np.flatnonzero(scene.pairs.distance < gate)
-    pairs = scene.pairs.take(near)
+    pairs = scene.near(gate)
     order = np.lexsort((pairs.truth, pairs.distance, pairs.track))
     first = order[np.unique(pairs.track[order], return_index=True)[1]]
     nearest = np.full(len(scene.tracks), -1)

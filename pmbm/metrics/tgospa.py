@@ -51,7 +51,7 @@ def tgospa(scene: Scene, *, cutoff: float = 4.0, order: float = 2.0, switch: flo
     check_cutoff_and_order(cutoff, order)
     if not 0 < switch < np.inf:
         raise InputError("bad switch cost", field="switch", expected="above 0 m", got=switch)
-    near = scene.pairs.take(scene.pairs.distance < cutoff)
+    near = scene.near(cutoff)
     truth_id = scene.truth.index[near.truth]
     track_id = scene.tracks.index[near.track]
     power = near.distance**order

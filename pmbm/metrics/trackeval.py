@@ -73,8 +73,8 @@ def trackeval_counts(
         mostly_tracked=mostly_tracked,
         partly_tracked=partly_tracked,
         mostly_lost=objects - mostly_tracked - partly_tracked,
-        identity=identity_counts(scene, np.flatnonzero(similarity >= threshold)),
-        hota=hota_counts(scene, similarity),
+        identity=identity_counts(scene, scene.pairs.take(similarity >= threshold)),
+        hota=hota_counts(scene, scene.pairs, similarity),
     )
 
 

@@ -17,6 +17,7 @@ from pmbm.metrics.scene import Boxes, Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 def ospa2_series(scene: Scene, window: int, cutoff: float = 10.0, order: float = 2.0) -> OspaSeries:
@@ -31,30 +32,34 @@ def ospa2_series(scene: Scene, window: int, cutoff: float = 10.0, order: float =
     check_cutoff_and_order(cutoff, order)
     if window < 1:
         raise InputError("bad window", field="window", expected="at least 1 frame", got=window)
-    frames, pairs = len(scene), scene.pairs
+    frames, pairs = len(scene), scene.near(cutoff)
     window = min(window, max(frames, 1))
     objects, track_ids = max(len(scene.truth.ids), 1), max(len(scene.tracks.ids), 1)
-    truth_frames, m = _presence(scene.truth, window, frames)
-    track_frames, n = _presence(scene.tracks, window, frames)
+    truth_there = _presence(scene.truth, frames)
+    track_there = _presence(scene.tracks, frames)
+    truth_frames, track_frames = (
+        _last_frames(truth_there, window),
+        _last_frames(track_there, window),
+    )
+    m, n = (truth_frames > 0).sum(axis=0), (track_frames > 0).sum(axis=0)
 
-    near = pairs.distance < cutoff
+    # Pairs of ids that are never near in a window keep the distance c whatever the assignment.
     key = scene.truth.index[pairs.truth] * track_ids + scene.tracks.index[pairs.track]
-    # Pairs of ids that never come near keep the distance c whatever the assignment.
-    relevant = np.flatnonzero(np.isin(key, key[near]))
-    power = np.minimum(pairs.distance, cutoff) ** order
-    place, end = _in_windows(pairs.frame[relevant], window, frames)
-    cell, inverse, together = np.unique(
-        end * (objects * track_ids) + key[relevant][place], return_inverse=True, return_counts=True
+    place, end = _in_windows(pairs.frame, window, frames)
+    cell, inverse, near = np.unique(
+        end * (objects * track_ids) + key[place], return_inverse=True, return_counts=True
     )
     cell_end, ids = cell // (objects * track_ids), cell % (objects * track_ids)
-    truth_cell = cell_end * objects + ids // track_ids
-    track_cell = cell_end * track_ids + ids % track_ids
-    either = truth_frames[truth_cell] + track_frames[track_cell] - together
-    both = np.bincount(inverse, power[relevant][place], minlength=len(cell))
-    # D^p; where the two are never near it is c^p but for rounding, which must not look like gain.
-    ever_near = np.bincount(inverse, near[relevant][place], minlength=len(cell)) > 0
-    cost = (both + cutoff**order * (either - together)) / either
-    useful = np.flatnonzero(ever_near & (cost < cutoff**order))
+    i, j = ids // track_ids, ids % track_ids
+    together = np.zeros(len(cell), np.int64)
+    for back in range(window):
+        at = np.maximum(cell_end - back, 0)
+        together += truth_there[i, at] & track_there[j, at] & (cell_end >= back)
+    either = truth_frames[i, cell_end] + track_frames[j, cell_end] - together
+    near_power = np.bincount(inverse, (pairs.distance**order)[place], minlength=len(cell))
+    cost = (near_power + cutoff**order * (either - near)) / either
+    useful = np.flatnonzero(cost < cutoff**order)
+    truth_cell, track_cell = cell_end * objects + i, cell_end * track_ids + j
     chosen = useful[
         best_matching(truth_cell[useful], track_cell[useful], cutoff**order - cost[useful])
     ]
@@ -79,10 +84,14 @@ def _in_windows(frame: IntArray, window: int, frames: int) -> tuple[IntArray, In
     return row[inside], end[inside]
 
 
-def _presence(boxes: Boxes, window: int, frames: int) -> tuple[IntArray, IntArray]:
-    """Frames in which each id exists in the window that ends at each frame, flat (F*I,), and how
-    many ids exist in each window (F,)."""
-    ids = max(len(boxes.ids), 1)
-    row, end = _in_windows(boxes.frame, window, frames)
-    present = np.bincount(end * ids + boxes.index[row], minlength=frames * ids)
-    return present, (present.reshape(frames, ids) > 0).sum(axis=1)
+def _presence(boxes: Boxes, frames: int) -> BoolArray:
+    """Whether each id exists in each frame, (I,F)."""
+    there = np.zeros((len(boxes.ids), frames), np.bool_)
+    there[boxes.index, boxes.frame] = True
+    return there
+
+
+def _last_frames(there: BoolArray, window: int) -> IntArray:
+    """In how many of the last `window` frames each id exists, (I,F)."""
+    total: IntArray = np.cumsum(there, axis=1, dtype=np.int64)
+    return total - np.pad(total, ((0, 0), (window, 0)))[:, : there.shape[1]]

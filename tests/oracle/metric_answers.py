@@ -16,7 +16,7 @@ import numpy as np
 from metric_cases import scene_of_case
 
 from pmbm.metrics.argoverse1 import argoverse1_counts
-from pmbm.metrics.clear import clear_counts, clear_matches
+from pmbm.metrics.clear import clear_counts, clear_matches, gated_pairs
 from pmbm.metrics.consistency import consistency, normalised_squares
 from pmbm.metrics.gospa import gospa_series
 from pmbm.metrics.hota import distance_similarity
@@ -138,7 +138,7 @@ def motp_matched(case: Case, key: str, expected: dict[str, Any]) -> dict[str, An
 def clear_dist2(case: Case, key: str, expected: dict[str, Any]) -> dict[str, Any]:
     scene = scene_of_case(case)
     clear = clear_counts(scene, clear_matches(scene, 2.0))
-    identity = identity_counts(scene, np.flatnonzero(scene.pairs.distance_xyz < 2.0))
+    identity = identity_counts(scene, gated_pairs(scene, 2.0))
     idtp = identity.true_positives
     errors = clear.misses + clear.false_positives + clear.switches
     return {

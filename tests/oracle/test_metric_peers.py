@@ -11,7 +11,7 @@ import warnings
 import numpy as np
 import pytest
 
-from pmbm.metrics.clear import clear_counts, clear_matches
+from pmbm.metrics.clear import clear_counts, clear_matches, gated_pairs
 from pmbm.metrics.hota import distance_similarity, hota_counts
 from pmbm.metrics.identity import identity_counts
 from pmbm.metrics.scene import Boxes, Scene
@@ -114,10 +114,9 @@ def check_trackeval(seed: int) -> None:
     # The standard HOTA and IDF1 define the same where both sides have boxes; a similarity of at
     # least a half is a distance of at most 2 m.
     if len(scene.truth) and len(scene.tracks):
-        counts = hota_counts(scene, similarity)
+        counts = hota_counts(scene, scene.pairs, similarity)
         np.testing.assert_array_equal(counts.true_positives, theirs["HOTA_TP"])
-        near = np.flatnonzero(scene.pairs.distance_xyz < 2.0)
-        assert identity_counts(scene, near).true_positives == theirs["IDTP"]
+        assert identity_counts(scene, gated_pairs(scene, 2.0)).true_positives == theirs["IDTP"]
 
 
 def check_motmetrics(seed: int) -> None:
@@ -163,8 +162,7 @@ def check_motmetrics(seed: int) -> None:
     assert ours.mostly_lost == theirs["mostly_lost"]
     if ours.matches:
         assert ours.distance_sum / ours.matches == pytest.approx(theirs["motp"], rel=1e-9)
-    near = np.flatnonzero(scene.pairs.distance_xyz < 2.0)
-    assert identity_counts(scene, near).true_positives == theirs["idtp"]
+    assert identity_counts(scene, gated_pairs(scene, 2.0)).true_positives == theirs["idtp"]
 
 
 @pytest.mark.parametrize("seed", EVERYDAY)

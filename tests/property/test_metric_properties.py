@@ -211,6 +211,18 @@ def test_matchings_against_enumeration(graph):
     )
 
 
+@given(run=runs(), reach=st.sampled_from([0.5, 1.0, 2.0, 5.0, 30.0]))
+def test_near_pairs_are_the_near_ones_of_all_pairs(run, reach):
+    truth, tracks, _ = run
+    every = scene(truth, tracks).pairs
+    expected = every.take(every.distance < reach)
+    made = scene(truth, tracks)
+    made.near(2 * reach)
+    for near in (scene(truth, tracks).near(reach), made.near(reach)):
+        for name, column in vars(expected).items():
+            np.testing.assert_array_equal(getattr(near, name), column)
+
+
 @FEWER
 @given(run=runs(), data=st.data())
 def test_no_score_depends_on_the_order_of_objects_in_a_frame(run, data):
