@@ -42,6 +42,9 @@ test: $(STAMP)
 verify: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m slow --verification reports/verification.json
 
+bench: $(STAMP)
+	$(BIN)/python tests/benchmark/bench.py
+
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .

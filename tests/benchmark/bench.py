@@ -1,0 +1,139 @@
+"""Measures the project's speed against its bars: `make bench`, or `bench.py ID...` for some.
+
+Times are CPU times of one thread, rivals run frame by frame with ours, figures are medians over
+seeds, and what is compared is ratios: the same step takes twice the time on another day.  Writes
+benchmarks.json and benchmarks.md; bars that were not measured anew keep their last figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+
+
+@dataclass(frozen=True)
+class Bar:
+    """What has to be reached: at most `bound`, or at least where `at_least`."""
+
+    module: str
+    what: str
+    bound: float
+    stretch: float | None = None
+    at_least: bool = False
+
+    def met(self, figure: float, bound: float) -> bool:
+        return figure >= bound if self.at_least else figure <= bound
+
+
+def at_most(module: str, what: str, bound: float, stretch: float | None = None) -> Bar:
+    return Bar(module, what, bound, stretch)
+
+
+def at_least(module: str, what: str, bound: float, stretch: float | None = None) -> Bar:
+    return Bar(module, what, bound, stretch, at_least=True)
+
+
+BARS = {
+    "a50": at_most("race", "step / floor, 50 objects", 10, 5),
+    "a200": at_most("race", "step / floor, 200 objects", 4, 2),
+    "a1000": at_most("race", "step / floor2, 1000 objects", 3, 2),
+    "b_slope": at_most("race", "log-log slope of time per frame, 10^3 to 10^5 objects", 1.15, 1.05),
+    "b_memory": at_most("race", "peak memory at 10^5 objects, MB", 500, 400),
+    "c10": at_least("race", "filterpy + linear_sum_assignment / ours, 10 objects", 0.5, 1),
+    "c50": at_least("race", "filterpy + linear_sum_assignment / ours, 50 objects", 2, 4),
+    "c200": at_least("race", "filterpy + linear_sum_assignment / ours, 200 objects", 8, 15),
+    "d_stonesoup": at_least("race", "Stone Soup GNN / ours, 50 objects", 50, 100),
+    "d_motpy": at_least("race", "motpy / ours, 50 objects", 5, 8),
+    "d_norfair": at_least("race", "norfair / ours, 50 objects", 3, 5),
+    "e": at_most("race", "200 objects 5 m apart / 15 m apart", 6, 3),
+    "f": at_least("kernel", "scipy reference / compiled kernel, gated 100 x 200, K = 100", 100),
+    "i_clear": at_most("metrics", "CLEAR and identity / TrackEval, 200 frames of 60 objects", 2),
+    "i_ospa": at_most("metrics", "OSPA / a plain scipy loop, 200 frames of 60 objects", 1),
+    "j_import": at_most("startup", "import pmbm / import numpy", 2),
+    "j_plugin": at_most("startup", "numpy and highway_env imported by the pytest plugin", 0),
+    "k": at_most("startup", "first `pmbm run` to its first result, s", 15),
+    "l_compiled": at_most("latency", "99th percentile of a step, compiled kernel, ms", 50, 5),
+    "l_reference": at_most("latency", "99th percentile of a step, plain kernel, ms", 50),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("ids", nargs="*", metavar="ID", help=f"of {', '.join(BARS)}")
+    parser.add_argument("--out", type=Path, default=Path("reports"))
+    options = parser.parse_args()
+    unknown = [name for name in options.ids if name not in BARS]
+    if unknown:
+        parser.error(f"no bar {unknown[0]}; there are {', '.join(BARS)}")
+    file = options.out / "benchmarks.json"
+    rows = {row["id"]: row for row in json.loads(file.read_text())["rows"]} if file.exists() else {}
+    for name in options.ids or BARS:
+        rows[name] = _row(name)
+        print(_line(rows[name]), flush=True)
+    ordered = [rows[name] for name in BARS if name in rows]
+    _write(options.out, ordered)
+    if any(row["verdict"] == "fail" for row in ordered):
+        sys.exit(1)
+
+
+def _row(name: str) -> dict[str, Any]:
+    bar = BARS[name]
+    figure, details = getattr(importlib.import_module(bar.module), name)()
+    met = bar.met(figure, bar.bound)
+    return {
+        "id": name,
+        "what": bar.what,
+        "figure": _rounded(figure),
+        "bound": bar.bound,
+        "stretch": bar.stretch,
+        "at_least": bar.at_least,
+        "verdict": "pass" if met else "fail",
+        "stretch_met": bar.stretch is not None and bar.met(figure, bar.stretch),
+        "details": _rounded(details),
+    }
+
+
+def _rounded(value: Any) -> Any:
+    """Three significant digits: what the spread between runs leaves."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    return float(f"{value:.3g}") if isinstance(value, float) else value
+
+
+def _line(row: dict[str, Any]) -> str:
+    bound = f"{'>=' if row['at_least'] else '<='} {row['bound']:g}"
+    return f"{row['verdict']:5} {row['id']:12} {row['figure']:>9g} ({bound})  {row['what']}"
+
+
+def _write(folder: Path, rows: list[dict[str, Any]]) -> None:
+    from pmbm.assignment import kernel
+    from pmbm.provenance import provenance
+
+    folder.mkdir(parents=True, exist_ok=True)
+    record = {"provenance": provenance(kernel=kernel()), "rows": rows}
+    (folder / "benchmarks.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    lines = ["# Speed", "", "| bar | figure | must | stretch | |", "|---|---:|---:|---:|---|"]
+    for row in rows:
+        sign = "≥" if row["at_least"] else "≤"
+        stretch = "" if row["stretch"] is None else f"{sign} {row['stretch']:g}"
+        lines.append(
+            f"| {row['what']} | {row['figure']:g} | {sign} {row['bound']:g} | {stretch} "
+            f"| {row['verdict']} |"
+        )
+    lines += ["", "| bar | in detail |", "|---|---|"]
+    for row in rows:
+        details = ", ".join(f"{key} {value}" for key, value in row["details"].items())
+        lines.append(f"| {row['id']} | {details} |")
+    (folder / "benchmarks.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""How much faster our traffic is than stock highway-env, and the cache than simulating anew.
+
+Each function gives rows of {"id", "what", "figure", "bound", "stretch"}; figures are ratios of CPU
+time, medians over seeds, rivals interleaved.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from sim import actors, highway, schema, traffic
+from sim.streams import Streams
+
+RATE = 15
+"""highway-env's own steps a second."""
+
+
+def rows(quick: bool = False) -> list[dict[str, Any]]:
+    """All of this module's rows; `quick` looks at fewer seeds and ticks."""
+    seeds = range(2 if quick else 5)
+    return [
+        road_row("g50", 50, 8.0, 12.0, seeds, ticks=20 if quick else 60),
+        road_row("g200", 200, 25.0, 45.0, seeds, ticks=4 if quick else 15),
+        cache_row(seeds),
+    ]
+
+
+def road_row(
+    identity: str, cars: int, bound: float, stretch: float, seeds: range, ticks: int
+) -> dict[str, Any]:
+    """Stock time over ours for the same steps of IDM traffic, states compared to the bit."""
+    ratios = []
+    for seed in seeds:
+        with stock():
+            slow_seconds, slow_state = _timed(cars, seed, ticks)
+        fast_seconds, fast_state = _timed(cars, seed, ticks)
+        if slow_state != fast_state:
+            raise AssertionError(f"{cars} cars, seed {seed}: our road differs from stock")
+        ratios.append(slow_seconds / fast_seconds)
+    return {
+        "id": identity,
+        "what": f"our road against stock highway-env, {cars} IDM cars, bit-identical",
+        "figure": statistics.median(ratios),
+        "bound": bound,
+        "stretch": stretch,
+        "seeds": ratios,
+    }
+
+
+def cache_row(seeds: range, configurations: int = 10) -> dict[str, Any]:
+    """Recordings of one scenario for ten detector configurations: each simulated anew, against
+    the cache, which begins empty."""
+    from sim import load_scenario
+    from sim import scenario as scenarios
+
+    source = load_scenario("highway_dense")
+    ratios = []
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as folder, _environment("PMBM_CACHE", folder):
+            levels = [
+                type(source)(
+                    {
+                        **source.document,
+                        "detector": {
+                            "profile": "nominal",
+                            "objects": {"detection_probability": 0.9 - 0.03 * k},
+                        },
+                    }
+                )
+                for k in range(configurations)
+            ]
+
+            def anew(level: Any, seed: int = seed) -> None:
+                level.detector().detect(scenarios.simulate(level.form, seed), seed)
+
+            def kept(level: Any, seed: int = seed) -> None:
+                # As a fresh process would: nothing is left in memory.
+                scenarios._scene.cache_clear()
+                level.record(seed)
+
+            totals = [0.0, 0.0]
+            for level in levels:
+                totals[0] += _seconds(lambda level=level: anew(level))
+                totals[1] += _seconds(lambda level=level: kept(level))
+            ratios.append(totals[0] / totals[1])
+    return {
+        "id": "h",
+        "what": f"{configurations} detector configurations over one scene, kept against anew",
+        "figure": statistics.median(ratios),
+        "bound": 5.0,
+        "stretch": None,
+        "seeds": ratios,
+    }
+
+
+@contextlib.contextmanager
+def stock() -> Iterator[None]:
+    """Within it, traffic is made of stock roads and stock drivers with the same parameters."""
+    ours = {"Car": actors.Car, "Cruiser": actors.Cruiser}
+    bases = {"Car": highway.IDMVehicle, "Cruiser": highway.ControlledVehicle}
+    adopt = traffic.adopt
+    for name, kind in ours.items():
+        members = {key: getattr(kind, key) for key in dir(kind) if key.isupper()}
+        setattr(actors, name, type(name, (bases[name],), {**members, "label": kind.label}))
+    traffic.adopt = lambda road: road
+    actors.vehicle_class.cache_clear()
+    try:
+        yield
+    finally:
+        for name, kind in ours.items():
+            setattr(actors, name, kind)
+        traffic.adopt = adopt
+        actors.vehicle_class.cache_clear()
+
+
+def _timed(cars: int, seed: int, ticks: int) -> tuple[float, list[Any]]:
+    opened = traffic.open_roads(_dense(cars), RATE, Streams(seed))
+    for hook in opened.hooks:
+        hook(0)
+
+    def steps() -> None:
+        for _ in range(ticks):
+            opened.step()
+
+    seconds = _seconds(steps)
+    return seconds, [
+        (v.position.tobytes(), float(v.heading), float(v.speed), v.crashed)
+        for v in opened.road.vehicles
+    ]
+
+
+def _dense(cars: int) -> schema.RoadScene:
+    """Four lanes of IDM cars with lane changes, as in highway-env's own highway."""
+    lanes = {
+        f"lane{lane}": {
+            "road": "main",
+            "lane": lane,
+            "position": 5000.0 + 5.0 * lane,
+            "speed": 24.0,
+            "count": (cars + lane) // 4,
+            "spacing": -22.0 * 4 / 2,
+            "lane_changes": True,
+            "jitter": {"position": 6.0, "speed": 2.0},
+        }
+        for lane in range(4)
+    }
+    return schema.RoadScene.model_validate(
+        {
+            "kind": "road",
+            "roads": {
+                "main": {
+                    "start": [0.0, 0.0],
+                    "end": [10000.0, 0.0],
+                    "lanes": 4,
+                    "speed_limit": 30.0,
+                }
+            },
+            "actors": lanes,
+            "crashes": "allowed",
+        }
+    )
+
+
+def _seconds(work: Callable[[], None]) -> float:
+    gc.collect()
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+@contextlib.contextmanager
+def _environment(name: str, value: str) -> Iterator[None]:
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
