@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pmbm.datasets.waymo import OBJECTS, SUBMISSION
+from pmbm.datasets.waymo_files import OBJECTS, SUBMISSION
 from pmbm.datasets.wire import WireError, decode, encode
 
 SAMPLES = sorted((Path(__file__).parents[1] / "data" / "waymo").glob("*.bin"))
