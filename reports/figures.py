@@ -6,16 +6,28 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import shapely
 
 from pmbm.errors import InputError
-from pmbm.types import FloatArray, Recording, Tracks, TrackSequence
-from reports.drawing import ScenePanel, add_legend, colours_of, save, styled
+from pmbm.types import FloatArray, GaussianMixture, Recording, Tracks, TrackSequence
+from reports.drawing import (
+    ScenePanel,
+    add_heat_scale,
+    add_legend,
+    colours_of,
+    planar_intensity,
+    save,
+    styled,
+)
+from reports.error_picture import error_picture
+from reports.matching import first_detection
 from reports.palette import tracker_colour
+from reports.shadows import hidden_region
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["save", "scene_picture"]
+__all__ = ["error_picture", "save", "scene_picture"]
 
 Extent = tuple[float, float, float, float]
 TRAIL_SECONDS = 2.0
@@ -57,6 +69,89 @@ def scene_picture(
         axes[0].set_title(when, loc="right", color=colours_of(dark)["soft"], fontsize=8, pad=6)
         add_legend(figure, colours_of(dark), tracks=bool(panels))
     return figure
+
+
+def hidden_traffic_picture(
+    recording: Recording,
+    tracks: TrackSequence,
+    frame: int | None = None,
+    *,
+    extent: Extent | None = None,
+    dark: bool = False,
+    width: float = 8.0,
+) -> Figure:
+    """The map of what cannot be seen: the intensity of undetected objects, and for each shadow how
+    many the tracker expects there beside how many there are.
+
+    tracks : of a tracker that gives `Tracks.undetected`.
+    frame, extent, width : as for `scene_picture`.
+
+    Raises InputError for a frame that is not there or that has no intensity.
+    """
+    frame = _busiest(recording) if frame is None else frame
+    _check_frame(recording, frame)
+    report = report_at(tracks, frame)
+    if report is None or report.undetected is None:
+        raise InputError(
+            "there is no intensity of undetected objects to draw",
+            frame=frame,
+            hint="a tracker gives it as Tracks.undetected, for the frames that it was stepped",
+        )
+    extent = extent or traffic_extent(recording, frame)
+    colours = colours_of(dark)
+    with styled():
+        figure, (axes,) = _figure(1, extent, dark=dark, width=width)
+        panel = ScenePanel(axes, colours, extent)
+        panel.heat(report.undetected)
+        draw_world(panel, recording, frame)
+        panel.tracks(report, recording.truth[frame], tracker_colour(colours, 0))
+        for place, expected, there in hidden_counts(recording, report, frame, extent):
+            panel.callout(f"{expected:.2f} expected, {there} there", place)
+        panel.caption("undetected objects: how many to expect where nothing can be seen")
+        when = f"{recording.name}, {recording.truth[frame].time:.1f} s"
+        axes.set_title(when, loc="right", color=colours["soft"], fontsize=8, pad=6)
+        add_heat_scale(axes, colours)
+        add_legend(figure, colours, tracks=True)
+    return figure
+
+
+def hidden_counts(
+    recording: Recording, report: Tracks, frame: int, extent: Extent, *, least: float = 0.02
+) -> list[tuple[FloatArray, float, int]]:
+    """Per connected shadow within `extent`: a point in it (2,), the expected number of undetected
+    objects there, and the true number of objects there that no detection has ever shown.
+
+    Shadows with fewer than `least` expected and none there are left out.
+    """
+    assert report.undetected is not None
+    truth = recording.truth[frame]
+    region = hidden_region(truth, recording.site, sensor_pose(recording, frame))
+    region = shapely.intersection(region, shapely.box(*extent))
+    first = first_detection(recording)
+    unknown = np.array([first.get(i, frame + 1) > frame for i in truth.id.tolist()], dtype=bool)
+    found = []
+    for part in shapely.get_parts(region):
+        if part.geom_type != "Polygon":
+            continue
+        expected = expected_in(report.undetected, part)
+        # An object's own box casts the shadow's edge: count those whose centre it nearly holds.
+        inside = shapely.contains_xy(part.buffer(1.5), *truth.position[:, :2].T)
+        there = int((inside & unknown & ~truth.observable).sum())
+        if expected >= least or there:
+            place = part.representative_point()
+            found.append((np.array([place.x, place.y]), expected, there))
+    return found
+
+
+def expected_in(mixture: GaussianMixture, region: shapely.Polygon, step: float = 0.5) -> float:
+    """Expected objects in a region, by the midpoint rule on a grid of `step` m."""
+    x0, y0, x1, y1 = region.bounds
+    x = np.arange(x0 + step / 2, x1, step)
+    y = np.arange(y0 + step / 2, y1, step)
+    if not len(x) or not len(y):
+        return 0.0
+    inside = shapely.contains_xy(region, *np.meshgrid(x, y))
+    return float(planar_intensity(mixture, x, y)[inside].sum() * step**2)
 
 
 def draw_world(panel: ScenePanel, recording: Recording, frame: int) -> None:
