@@ -291,6 +291,22 @@ def test_results_of_argoverse2_fail_closed(folder):
         dataset.compared(LOG, "PEDESTRIAN", folder / "out")
 
 
+def test_the_vehicle_itself_is_left_out(folder):
+    """Some files hold rows of it, under another name of the file."""
+    import pyarrow.feather
+
+    path = folder / "argoverse2" / "val" / LOG / "annotations.feather"
+    before = sample(folder, "argoverse2")
+    table = pyarrow.feather.read_table(str(path)).to_pandas()
+    own = table.iloc[[0, 2]].assign(category="EGO_VEHICLE", track_uuid="ego")
+    table = type(table)(
+        {name: [*table[name].tolist(), *own[name].tolist()] for name in table.columns}
+    )
+    path.unlink()
+    pyarrow.feather.write_feather(table, str(path.with_name("annotations_with_ego.feather")))
+    assert sample(folder, "argoverse2").truth_digest() == before.truth_digest()
+
+
 class TestNuScenes:
     def tables(self, folder):
         return folder / "nuscenes" / "v1.0-mini"
