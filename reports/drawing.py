@@ -103,6 +103,32 @@ def add_legend(figure: Figure, colours: dict[str, str], *, tracks: bool) -> None
     )
 
 
+def heat_opacity(density: FloatArray) -> FloatArray:
+    """Of an intensity in objects per square metre: from a thousandth of an object per 100 square
+    metres (clear) to one (0.85), by decades."""
+    with np.errstate(divide="ignore"):
+        opacity: FloatArray = 0.85 * np.clip((np.log10(100 * density) + 3) / 3, 0, 1)
+    return opacity
+
+
+def add_heat_scale(axes: Axes, colours: dict[str, str]) -> None:
+    """What the heat's opacity means, inside the picture's lower right corner."""
+    from matplotlib.colors import to_rgb
+
+    scale = axes.inset_axes((0.76, 0.075, 0.2, 0.028), zorder=13)
+    strip = np.empty((1, 200, 4))
+    strip[..., :3] = to_rgb(colours["heat"])
+    strip[0, :, 3] = heat_opacity(np.logspace(-5, -2, 200))
+    scale.imshow(strip, extent=(-3, 0, 0, 1), aspect="auto")
+    scale.set_facecolor(colours["stage"])
+    scale.set_yticks([])
+    scale.set_xticks([-3, -2, -1, 0], ["0.001", "0.01", "0.1", "1"])
+    scale.tick_params(colors=colours["soft"], length=2, labelsize=7, pad=2)
+    scale.set_title("expected per 100 m²", fontsize=7.5, color=colours["soft"], pad=3)
+    for spine in scale.spines.values():
+        spine.set(color=colours["line"], linewidth=0.6)
+
+
 class ScenePanel:
     """Draws layers of one frame into axes, back to front."""
 
@@ -142,13 +168,35 @@ class ScenePanel:
         x = x0 + (np.arange(columns) + 0.5) * (x1 - x0) / columns
         y = y0 + (np.arange(lines) + 0.5) * (y1 - y0) / lines
         density = planar_intensity(mixture, x, y)
-        with np.errstate(divide="ignore"):
-            decades = np.log10(100 * density)
         image = np.empty((lines, columns, 4))
         image[..., :3] = to_rgb(self._colours["heat"])
-        image[..., 3] = 0.85 * np.clip((decades + 3) / 3, 0, 1)
+        image[..., 3] = heat_opacity(density)
         self._axes.imshow(
             image, extent=(x0, x1, y0, y1), origin="lower", interpolation="bilinear", zorder=0.5
+        )
+
+    def callout(self, text: str, place: FloatArray) -> None:
+        """Words on a small card, inside the picture."""
+        x0, y0, x1, y1 = self._extent
+        inset = 0.09 * (x1 - x0), 0.05 * (y1 - y0)
+        x = np.clip(place[0], x0 + inset[0], x1 - inset[0])
+        y = np.clip(place[1], y0 + inset[1], y1 - inset[1])
+        card = {
+            "boxstyle": "round,pad=.35",
+            "facecolor": self._colours["card"],
+            "edgecolor": self._colours["heat"],
+            "linewidth": 0.8,
+        }
+        self._axes.text(
+            x,
+            y,
+            text,
+            color=self._colours["ink"],
+            fontsize=8,
+            ha="center",
+            va="center",
+            bbox=card,
+            zorder=12,
         )
 
     def sensor(self, pose: FloatArray) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmbm.labels import Label
 from pmbm.types import CLUTTER, FloatArray, IntArray, Recording, Tracks, TrackSequence
-from reports.matching import BoolPair, matched
+from reports.matching import BoolPair, first_detection, matched
 from reports.values import Replay
 
 METRE, RADIAN, SHARE, SPEED = 0.01, 0.001, 0.01, 0.05
@@ -105,7 +105,7 @@ def _truth(recording: Recording, centre: FloatArray, blob: _Blob) -> dict[str, A
     ids = _column([frame.id for _, frame in frames], np.int64)
     order = np.lexsort((rows, ids))
     known, which = np.unique(ids, return_inverse=True)
-    first_seen = _first_detection(recording)
+    first_seen = first_detection(recording)
     seen = np.array([first_seen.get(int(i), len(recording)) for i in known])
     pick = _Picker(frames, order)
     flags = (
@@ -125,21 +125,6 @@ def _truth(recording: Recording, centre: FloatArray, blob: _Blob) -> dict[str, A
             flags=(flags, 1),
         ),
     }
-
-
-def _first_detection(recording: Recording) -> dict[int, int]:
-    """Frame of each object's first detection; of its first observable frame where origins are
-    unknown."""
-    first: dict[int, int] = {}
-    if recording.origin is None:
-        for index, truth in enumerate(recording.truth):
-            for i in truth.id[truth.observable].tolist():
-                first.setdefault(i, index)
-        return first
-    for frame, origin in zip(recording.frame.tolist(), recording.origin, strict=True):
-        for i in recording.truth[frame].id[origin[origin != CLUTTER]].tolist():
-            first[i] = min(frame, first.get(i, frame))
-    return first
 
 
 def _detections(recording: Recording, centre: FloatArray, blob: _Blob) -> dict[str, Any]:

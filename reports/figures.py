@@ -27,7 +27,7 @@ from reports.shadows import hidden_region
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["error_picture", "save", "scene_picture"]
+__all__ = ["error_picture", "hidden_counts", "hidden_traffic_picture", "save", "scene_picture"]
 
 Extent = tuple[float, float, float, float]
 TRAIL_SECONDS = 2.0

@@ -1,4 +1,4 @@
-"""Which object each track stands for in one frame, to mark what is missed and what is false."""
+"""Which object each track stands for in a frame, and since when each object is known."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from pmbm.geometry import centre_distance
-from pmbm.types import GroundTruth, Tracks
+from pmbm.types import CLUTTER, GroundTruth, Recording, Tracks
 
 MISS_DISTANCE = 4.0
 """m; GOSPA's cut-off, so that the marks agree with its missed and false parts."""
@@ -28,3 +28,18 @@ def matched(truth: GroundTruth, tracks: Tracks) -> BoolPair:
     is_track[rows[near]] = True
     is_object[columns[near]] = True
     return is_track, is_object
+
+
+def first_detection(recording: Recording) -> dict[int, int]:
+    """Frame of each object's first detection; of its first observable frame where origins are
+    unknown."""
+    first: dict[int, int] = {}
+    if recording.origin is None:
+        for index, truth in enumerate(recording.truth):
+            for i in truth.id[truth.observable].tolist():
+                first.setdefault(i, index)
+        return first
+    for frame, origin in zip(recording.frame.tolist(), recording.origin, strict=True):
+        for i in recording.truth[frame].id[origin[origin != CLUTTER]].tolist():
+            first[i] = min(frame, first.get(i, frame))
+    return first

@@ -248,7 +248,7 @@ def test_a_drawn_rectangle_counts_hidden_objects(plain):
     """The browser's number against scipy's, for a rectangle that cuts through the components."""
     from scipy.stats import multivariate_normal
 
-    box = [14.0, 16.0, 30.0, 26.0]
+    box = [42.0, 8.0, 54.0, 17.0]
     counted = plain.execute_script(
         "player.choose(0); player.seek(30);"
         "const m = player.data.trackers[0].undetected;"
@@ -259,7 +259,7 @@ def test_a_drawn_rectangle_counts_hidden_objects(plain):
     )
     behind = hidden_mixture().take([0])
     share = multivariate_normal(behind.mean[0, :2], behind.cov[0, :2, :2]).cdf(
-        [30, 26], lower_limit=[14, 16]
+        [54, 17], lower_limit=[42, 8]
     )
     # The page keeps positions to 0.05 m and log weights to 0.005.
     assert counted["expected"] == pytest.approx(0.5 * share, rel=0.02)

@@ -8,13 +8,21 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from scipy import stats
 from traffic import hidden_mixture, recording, tracks
 
 from pmbm.errors import InputError
 from pmbm.geometry import corners, visible_fraction
 from pmbm.types import Recording, Site
 from reports.drawing import planar_intensity
-from reports.figures import save, scene_picture, traffic_extent
+from reports.figures import (
+    expected_in,
+    hidden_counts,
+    hidden_traffic_picture,
+    save,
+    scene_picture,
+    traffic_extent,
+)
 from reports.shadows import field_of_view, hidden_region, shadow
 
 
@@ -80,7 +88,59 @@ def test_the_intensity_adds_up_to_its_weights():
     x = np.linspace(-120, 120, 601)
     density = planar_intensity(hidden_mixture(), x, x)
     assert density.sum() * (x[1] - x[0]) ** 2 == pytest.approx(0.7, rel=1e-3)
-    assert np.unravel_index(density.argmax(), density.shape)[0] == np.abs(x - 20).argmin()
+    assert np.unravel_index(density.argmax(), density.shape)[0] == np.abs(x - 13).argmin()
+
+
+def test_the_expected_number_in_a_region_is_scipys():
+    mixture = hidden_mixture()
+    want = sum(
+        np.exp(w) * stats.multivariate_normal(m[:2], c[:2, :2]).cdf([54, 17], lower_limit=[-60, 8])
+        for w, m, c in zip(mixture.log_weight, mixture.mean, mixture.cov, strict=True)
+    )
+    assert expected_in(mixture, shapely.box(-60, 8, 54, 17)) == pytest.approx(want, rel=1e-3)
+    assert expected_in(mixture, shapely.box(0, 0, 0.1, 0.1)) == 0
+
+
+def test_shadows_are_counted_with_who_was_never_detected():
+    """The car behind the truck counts while no detection has shown it, not after."""
+    scene = recording()
+    report = tracks(scene, undetected=True)[46]
+    known = hidden_counts(scene, report, 46, (-60, -60, 60, 60))
+    assert sum(there for *_, there in known) == 0
+    # Half an object is around (48, 13): by sampling, how much of it lies in some shadow.
+    region = hidden_region(scene.truth[46], scene.site, np.zeros(3))
+    behind = hidden_mixture().take([0])
+    draws = np.random.default_rng(4).multivariate_normal(
+        behind.mean[0, :2], behind.cov[0, :2, :2], 100_000
+    )
+    share = shapely.contains_xy(region, *draws.T).mean()
+    assert 0.2 < share < 0.8
+    place, expected, _ = max(known, key=lambda row: row[1])
+    assert expected == pytest.approx(0.5 * share, rel=0.02)
+    assert shapely.contains_xy(region, *place)
+    blind = Recording(
+        name="blind",
+        truth=scene.truth,
+        detections=tuple(d.take([]) for d in scene.detections),
+        frame=scene.frame,
+        stamp=scene.stamp,
+        site=scene.site,
+        origin=tuple(np.zeros(0, int) for _ in scene.detections),
+    )
+    unknown = hidden_counts(blind, report, 46, (-60, -60, 60, 60))
+    assert sum(there for *_, there in unknown) == 1
+
+
+def test_the_hidden_map_is_written(tmp_path):
+    scene = recording()
+    sequence = tracks(scene, undetected=True)
+    figure = hidden_traffic_picture(scene, sequence, 46)
+    words = [text.get_text() for text in figure.axes[0].texts]
+    assert any("expected" in text for text in words)
+    save(figure, tmp_path / "hidden.png")
+    assert (tmp_path / "hidden.png").stat().st_size > 20_000
+    with pytest.raises(InputError, match="no intensity"):
+        hidden_traffic_picture(scene, tracks(scene), 46)
 
 
 @pytest.mark.parametrize("dark", [False, True])

@@ -136,6 +136,6 @@ def hidden_mixture():
     behind[0, 1] = behind[1, 0] = -18.0
     return GaussianMixture(
         log_weight=np.log([0.5, 0.2]),
-        mean=[[20.0, 20.0, 0.0, 0.0], [-50.0, 0.0, 5.0, 0.0]],
+        mean=[[48.0, 13.0, 0.0, 0.0], [-50.0, 0.0, 5.0, 0.0]],
         cov=[behind, np.diag([25.0, 60.0, 4.0, 4.0])],
     )

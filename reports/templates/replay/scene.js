@@ -436,7 +436,7 @@ function mix([ax, ay], [bx, by], share) {
   return [ax + (bx - ax) * share, ay + (by - ay) * share];
 }
 
-// From a ten-thousandth of an object per 100 m2 (clear) to one (opaque), by decades.
+// From a thousandth of an object per 100 m2 (clear) to one (0.85), by decades.
 function heatOpacity(density) {
   if (density <= 0) return 0;
   return 0.85 * Math.min(1, Math.max(0, (Math.log10(density * 100) + 3) / 3));
