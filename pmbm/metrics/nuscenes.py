@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmbm.metrics.clear import Matches, clear_counts, continuing_matches
-from pmbm.metrics.kitti import track_mean_scores
 from pmbm.metrics.scene import Scene
 
 FloatArray = NDArray[np.float64]
@@ -57,7 +56,7 @@ def nuscenes_scores(scenes: Sequence[Scene], gate: float = 2.0) -> NuscenesScore
     truths = sum(len(scene.truth) for scene in scenes)
     if truths == 0:
         return None
-    confidence = [track_mean_scores(scene) for scene in scenes]
+    confidence = [_track_scores(scene) for scene in scenes]
     thresholds = _thresholds(scenes, confidence, truths, gate)
     levels: dict[float, dict[str, float]] = {}
     for threshold in np.unique(thresholds[np.isfinite(thresholds)]):
@@ -82,6 +81,16 @@ def nuscenes_scores(scenes: Sequence[Scene], gate: float = 2.0) -> NuscenesScore
         best=best,
         at_best={name: _number(curve[best]) for name, curve in curves.items()},
     )
+
+
+def _track_scores(scene: Scene) -> FloatArray:
+    """For each track row the mean score of its track, (K,), to the bit as the devkit rounds it:
+    thresholds lie on these very values."""
+    score = np.empty(len(scene.tracks))
+    order = scene.tracks.by_object
+    for rows in np.split(order, np.flatnonzero(np.diff(scene.tracks.index[order])) + 1):
+        score[rows] = np.mean(scene.tracks.score[rows]) if len(rows) else 0.0
+    return score
 
 
 def _thresholds(
