@@ -12,6 +12,8 @@ from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
 
 FloatArray = NDArray[np.float64]
+_LAST_LABEL = int(max(Label))
+"""Labels are numbered from 0 on without a gap."""
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -38,6 +40,8 @@ class Door:
         given = getattr(self.value, name)
         try:
             array = np.asarray(given)
+            if array.dtype == dtype:
+                return array
             if array.dtype == object or array.dtype.kind in "USMmc":
                 raise TypeError
             with np.errstate(invalid="ignore"):
@@ -132,21 +136,22 @@ class Door:
 
     def labels(self, n: int) -> None:
         array = self._shaped("label", np.int64, (n,))
-        unknown = np.flatnonzero(~np.isin(array, [int(label) for label in Label]))
+        unknown = np.flatnonzero((array < 0) | (array > _LAST_LABEL))
         if len(unknown):
             raise self._fail(
                 "label",
                 rows=unknown,
-                expected=f"a Label, 0 to {max(Label)}",
+                expected=f"a Label, 0 to {_LAST_LABEL}",
                 got=array[unknown[0]],
             )
         self._store("label", array.astype(np.int8))
 
     def ids(self, n: int) -> None:
         array = self._shaped("id", np.int64, (n,))
-        values, counts = np.unique(array, return_counts=True)
-        if (counts > 1).any():
-            twice = values[counts > 1][0]
+        ordered = np.sort(array)
+        repeated = ordered[1:] == ordered[:-1]
+        if repeated.any():
+            twice = ordered[1:][repeated][0]
             raise self._fail(
                 "id",
                 rows=np.flatnonzero(array == twice),

@@ -28,6 +28,8 @@ def wrap_angle(angle: ArrayLike) -> FloatArray:
     """The same angles in [-pi, pi), rad; those already there keep their bits."""
     angle = np.asarray(angle, dtype=np.float64)
     inside = (angle >= -np.pi) & (angle < np.pi)
+    if inside.all():
+        return angle
     wrapped = np.mod(angle + np.pi, 2 * np.pi) - np.pi
     # np.mod of a tiny negative number rounds up to the divisor itself.
     wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)

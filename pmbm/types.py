@@ -451,6 +451,20 @@ def _take(value: _Table, rows: ArrayLike) -> _Table:
     return type(value)(**picked)
 
 
+def vouched(kind: type[_Table], **values: Any) -> _Table:
+    """A value made without the checks, by code that has made sure of all that they would find.
+
+    All fields are given, with their final types; arrays are handed over, not copied, and become
+    read-only.  For results made in an inner loop, where the checks would cost more than the result.
+    """
+    value = object.__new__(kind)
+    for name, content in values.items():
+        if isinstance(content, np.ndarray):
+            content.flags.writeable = False
+        object.__setattr__(value, name, content)
+    return value
+
+
 def _digest(*parts: Any) -> str:
     hasher = hashlib.sha256()
     for part in parts:

@@ -32,12 +32,14 @@ class Pairs:
     row (n,) : of the local table, or of the PPP.  measurement (n,).
     y (n,2) : whitened innovation.
     log_weight (n,) : log(r P_D N(z)) of a local hypothesis, log(w P_D N(z)) of a PPP component.
+    innovation : of every Gaussian, paired or not.
     """
 
     row: Index
     measurement: Index
     y: FloatArray
     log_weight: FloatArray
+    innovation: Innovation
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -170,7 +172,7 @@ def _gated(
     if not possible.all():
         row, measurement, y = row[possible], measurement[possible], y[possible]
         log_weight = log_weight[possible]
-    return Pairs(row, measurement, y, log_weight)
+    return Pairs(row, measurement, y, log_weight, innovation)
 
 
 def _first_detections(

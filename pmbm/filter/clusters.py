@@ -43,14 +43,26 @@ def join(table: Globals, component: Index, number: int, cap: int) -> Globals:
     hypothesis.  Where a product would have more than `cap` rows, its `cap` best are kept, which
     are exact: a row among the best of a product is made of rows among the best of each factor.
     """
-    if number == table.clusters and np.array_equal(component, np.arange(number)):
-        return table
+    if np.array_equal(component, np.arange(table.clusters)):
+        return _with_empty_clusters(table, number - table.clusters)
     joint, source, joint_component = _product_rows(table, component, number, cap)
     rows = len(joint_component)
     count = np.bincount(joint, np.diff(table.start)[source], minlength=rows).astype(np.intp)
     member = table.member[ragged(table.start[source], np.diff(table.start)[source])]
     log_weight = summed(table.log_weight[source], joint, rows)
     return Globals(joint_component, log_weight, starts(count), member)
+
+
+def _with_empty_clusters(table: Globals, more: int) -> Globals:
+    """The table and so many clusters of one empty hypothesis after it."""
+    if not more:
+        return table
+    return Globals(
+        np.concatenate([table.cluster, table.clusters + np.arange(more)]),
+        np.concatenate([table.log_weight, np.zeros(more)]),
+        np.concatenate([table.start, np.full(more, table.start[-1])]),
+        table.member,
+    )
 
 
 def _product_rows(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmbm.types import ABSENT, FloatArray, GaussianMixture
+from pmbm.types import ABSENT, FloatArray, GaussianMixture, vouched
 
 Index = NDArray[np.intp]
 
@@ -49,7 +49,12 @@ class Mixture:
         return Mixture(np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4, 4)))
 
     def public(self) -> GaussianMixture:
-        return GaussianMixture(log_weight=self.log_weight, mean=self.mean, cov=self.cov)
+        return vouched(
+            GaussianMixture,
+            log_weight=self.log_weight.copy(),
+            mean=self.mean.copy(),
+            cov=self.cov.copy(),
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -170,6 +175,7 @@ class Density:
     track_id (T,) : int64; a track's id is the running number, over the whole run, of the detection
         that started it, so it names (time, measurement) and is never used again.
     detections_seen : how many detections came before; the id of the next one.
+    undetected_settled : components of the PPP when it was last merged.
     """
 
     undetected: Mixture
@@ -177,6 +183,7 @@ class Density:
     hypotheses: Globals
     track_id: NDArray[np.int64]
     detections_seen: int = 0
+    undetected_settled: int = 0
 
     @staticmethod
     def initial(

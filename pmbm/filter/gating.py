@@ -27,6 +27,10 @@ def gate(
     z (M,2).  Gives rows (n,) of the Gaussians, ascending, rows (n,) of the measurements, and the
     whitened innovations (n,2), whose squared length is that distance.
     """
+    if len(innovation.expected) * len(z) <= _DENSE_BELOW:
+        y0, y1 = innovation.whiten_all(z)
+        row, column = np.nonzero(y0 * y0 + y1 * y1 < threshold)
+        return row, column, np.stack([y0[row, column], y1[row, column]], axis=1)
     row, column = near(innovation.expected, innovation.reach(threshold), z)
     y = innovation.whiten(row, z[column])
     inside = np.flatnonzero(y[:, 0] * y[:, 0] + y[:, 1] * y[:, 1] < threshold)

@@ -45,6 +45,15 @@ class Innovation:
         y[:, 1] = (nu[:, 1] - self.l21[row] * y[:, 0]) / self.l22[row]
         return y
 
+    def whiten_all(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Both components (N,M) of L^-1 (z - H m), of all measurements z (M,2) under each."""
+        y0 = (z[:, 0] - self.expected[:, :1]) / self.l11[:, None]
+        y1 = (z[:, 1] - self.expected[:, 1:] - self.l21[:, None] * y0) / self.l22[:, None]
+        return y0, y1
+
+    def take(self, rows: Index) -> Innovation:
+        return Innovation(self.expected[rows], self.l11[rows], self.l21[rows], self.l22[rows])
+
     def log_norm(self) -> FloatArray:
         """(N,) log of the density's height: -log(2 pi) - log det(S) / 2."""
         return -_LOG_2PI - np.log(self.l11) - np.log(self.l22)

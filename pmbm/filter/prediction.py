@@ -34,5 +34,6 @@ def _moved(
 ) -> tuple[FloatArray, FloatArray]:
     """F m and F P F' + Q.  F P F' of all rows is one matrix product on the flattened P."""
     F, Q = transition.F, transition.Q
-    moved = (cov.reshape(-1, 16) @ np.kron(F, F).T).reshape(-1, 4, 4) + Q
+    both_sides = (F[:, None, :, None] * F[:, None, :]).reshape(16, 16)
+    moved = (cov.reshape(-1, 16) @ both_sides.T).reshape(-1, 4, 4) + Q
     return mean @ F.T, 0.5 * (moved + moved.transpose(0, 2, 1))

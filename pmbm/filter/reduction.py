@@ -13,6 +13,7 @@ from pmbm.filter.gating import near
 from pmbm.filter.gaussian import moments
 from pmbm.filter.update import normalised
 
+_FEW = 20
 _ALIKE = 1.0
 """Largest difference of log position areas (of log sds, summed) between components that merge."""
 _SPLITMIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
@@ -64,7 +65,9 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
 
     density, recycled, tracks_capped, returned = _recycle(density, limits)
     before = len(density.hypotheses)
-    density = replace(density, hypotheses=_merge_equal(density.hypotheses))
+    if recycled or tracks_capped:
+        # Hypotheses that differ stay different as long as nothing is taken out of them.
+        density = replace(density, hypotheses=_merge_equal(density.hypotheses))
     merged = before - len(density.hypotheses)
     if limits.clustering:
         density = replace(density, hypotheses=split(density.hypotheses, len(density.local)))
@@ -72,12 +75,16 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
 
     ppp = Mixture.joined(density.undetected, returned)
     kept = ppp.take(np.flatnonzero(ppp.log_weight > _log(limits.prune_undetected)))
-    joined = merge_mixture(kept, limits.merge_undetected)
+    joined, settled = kept, density.undetected_settled
+    if len(kept) > 2 * settled + _FEW:
+        # Merging takes longer than what it saves until the mixture has grown.
+        joined = merge_mixture(kept, limits.merge_undetected)
+        settled = len(joined)
     heaviest = joined
     if len(joined) > limits.max_undetected:
         order = np.argsort(-joined.log_weight, kind="stable")[: limits.max_undetected]
         heaviest = joined.take(np.sort(order))
-    return replace(density, undetected=heaviest), Reduced(
+    return replace(density, undetected=heaviest, undetected_settled=settled), Reduced(
         pruned,
         over,
         merged,

@@ -28,7 +28,7 @@ from pmbm.filter.reduction import Limits, Reduced, reduce
 from pmbm.filter.scan import Scan
 from pmbm.filter.update import update
 from pmbm.score import ScoreModel
-from pmbm.types import Detections, FloatArray, Site, Tracks
+from pmbm.types import Detections, FloatArray, Site, Tracks, vouched
 
 
 class PMBMTracker:
@@ -50,6 +50,8 @@ class PMBMTracker:
         self.density: Density | None = None
         self.reduced = Reduced()
         self._time = math.nan
+        self._shape: Mixture | None = None
+        self._shape_pose = np.zeros(3)
         self._score_model = self.config.score_model or ScoreModel.trusting()
         self._from_scores = _from_scores(self.config)
 
@@ -122,7 +124,10 @@ class PMBMTracker:
     def _spread(self, view: View, expected: float) -> Mixture:
         if expected == 0:
             return Mixture.empty()
-        shape = spread_over(view, self.config.birth_components, self.config.birth_speed_sd)
+        shape = self._shape
+        if shape is None or not np.array_equal(view.pose, self._shape_pose):
+            shape = spread_over(view, self.config.birth_components, self.config.birth_speed_sd)
+            self._shape, self._shape_pose = shape, view.pose
         return Mixture(shape.log_weight + math.log(expected), shape.mean, shape.cov)
 
     def _sensor(self, view: View, predicted: Density) -> Sensor:
@@ -150,13 +155,14 @@ class PMBMTracker:
         local = density.local.take(marginal.best[reported])
         inside = np.flatnonzero(view.share_inside(local.mean, local.cov) > 0.5)
         reported, local = reported[inside], local.take(inside)
-        return Tracks(
+        return vouched(
+            Tracks,
             time=self._time,
             id=density.track_id[reported],
-            position=np.column_stack([local.mean[:, :2], local.box[:, 0]]),
-            size=local.box[:, 1:4],
-            yaw=local.box[:, 4],
-            velocity=local.mean[:, 2:],
+            position=np.concatenate([local.mean[:, :2], local.box[:, :1]], axis=1),
+            size=local.box[:, 1:4].copy(),
+            yaw=local.box[:, 4].copy(),
+            velocity=local.mean[:, 2:].copy(),
             score=marginal.existence[reported],
             label=local.label,
             covariance=local.cov,

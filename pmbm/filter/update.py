@@ -25,7 +25,7 @@ from pmbm.filter.density import (
     ragged,
     starts,
 )
-from pmbm.filter.gaussian import Innovation, corrected_cov, corrected_mean, gain, moments
+from pmbm.filter.gaussian import corrected_cov, corrected_mean, gain, moments
 from pmbm.filter.models import Sensor
 from pmbm.filter.scan import Scan
 from pmbm.types import FloatArray
@@ -51,6 +51,7 @@ def update(density: Density, scan: Scan, association: Association, sensor: Senso
         hypotheses=Globals(table.cluster, table.log_weight, table.start, renumber[table.member]),
         track_id=np.concatenate([density.track_id, density.detections_seen + np.arange(len(scan))]),
         detections_seen=density.detections_seen + len(scan),
+        undetected_settled=density.undetected_settled,
     )
 
 
@@ -132,7 +133,7 @@ def _detected(
     known = association.known
     row, measurement = known.row[pairs], known.measurement[pairs]
     before = local.take(row)
-    innovation = Innovation.of(before.mean, before.cov, sensor.R)
+    innovation = known.innovation.take(row)
     W = gain(before.cov, innovation)
     return Locals(
         before.track,
@@ -186,7 +187,7 @@ def _fused(
     if len(kept):
         kept = kept[np.argsort(target[kept], kind="stable")]
         component, target = pairs.row[kept], target[kept]
-        innovation = Innovation.of(ppp.mean, ppp.cov, sensor.R)
+        innovation = pairs.innovation
         W = gain(ppp.cov, innovation)
         after = corrected_cov(ppp.cov, W, sensor.R, innovation)
         first = np.flatnonzero(np.diff(target, prepend=-1))
