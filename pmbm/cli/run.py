@@ -15,7 +15,7 @@ import click
 if TYPE_CHECKING:
     from pmbm.study import Estimate, Source, Summary, TrialResult
     from pmbm.tracking import TrackerFactory
-    from reports.values import Replay, Section
+    from reports.values import Section
 
 HEADLINE = (
     "gospa",
@@ -199,41 +199,17 @@ def _section(
     trial: int,
     summary: Summary,
 ) -> Section:
+    from reports.replays import trial_replay
     from reports.values import Section
 
-    replay, provenance = _replay(source, factories, seed, trial)
+    replay, _ = trial_replay(source, factories, seed, trial)
     return Section(
         name=source.name,
         stresses=source.stresses,
         summary=summary,
         replay=replay,
-        provenance=provenance,
+        provenance=replay.recording.provenance,
     )
-
-
-def _replay(
-    source: Source, factories: Mapping[str, TrackerFactory], seed: int, trial: int
-) -> tuple[Replay, Mapping[str, Any]]:
-    from pmbm.metrics import evaluate
-    from pmbm.tracking import make_tracker, run
-    from reports.values import Replay
-
-    recording = source.record(seed, trial)
-    tracks = {
-        name: run(make_tracker(factory, recording.site), recording)
-        for name, factory in factories.items()
-    }
-    series = {
-        name: {
-            metric: value.series
-            for metric, value in evaluate(recording, sequence).items()
-            if value.series is not None
-        }
-        for name, sequence in tracks.items()
-    }
-    title = f"trial {trial} of seed {seed}"
-    replay = Replay(recording=recording, tracks=tracks, series=series, title=title)
-    return replay, recording.provenance
 
 
 def _show(name: str, summary: Summary, results: Sequence[TrialResult], *, to_stderr: bool) -> None:
