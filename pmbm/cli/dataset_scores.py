@@ -1,33 +1,30 @@
-"""The datasets' own scoring rules, by name: what is counted of a sequence, and the scores of the
-counts of several."""
+"""The datasets' own scoring rules, by name: a sequence scored, and several together."""
 
 from __future__ import annotations
 
-import functools
-import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from pmbm.datasets import Dataset
 from pmbm.datasets.frames import Comparison
 from pmbm.errors import InputError, nearest_hint
-from pmbm.metrics.argoverse1 import Argoverse1Counts, argoverse1_counts
-from pmbm.metrics.benchmark import benchmark_scores, kept_rows
-from pmbm.metrics.hota import distance_similarity
-from pmbm.metrics.nuscenes import nuscenes_scores
-from pmbm.metrics.scene import Scene, make_scene, pair_overlap
-from pmbm.metrics.trackeval import trackeval_counts
-from pmbm.metrics.waymo import (
-    WaymoCounts,
-    WaymoScene,
-    waymo_counts,
-    waymo_overlap,
-    waymo_scores,
+from pmbm.metrics import Evaluation, MetricValue, combine
+from pmbm.metrics.benchmarks import (
+    evaluate_argoverse1,
+    evaluate_kitti,
+    evaluate_nuscenes,
+    evaluate_trackeval,
+    evaluate_waymo,
 )
+from pmbm.metrics.hota import distance_similarity
+from pmbm.metrics.kitti import KittiScene
+from pmbm.metrics.scene import Scene, make_scene, pair_overlap
+from pmbm.metrics.trackeval import SimilarScene
+from pmbm.metrics.waymo import WaymoScene, waymo_overlap
 from pmbm.types import FloatArray
 
 Scores = dict[str, float | None]
@@ -35,12 +32,22 @@ Scores = dict[str, float | None]
 
 @dataclass(frozen=True)
 class Rule:
-    """count : what one sequence of a class (by name) adds.  scores : of several sequences together.
-    says : what the rule compares, in a few words."""
+    """score : one sequence of a class (by name).  says : what the rule compares, in a few words.
+    shown : the benchmark's name of a figure -> its name among the metrics."""
 
-    count: Callable[[Comparison, str], Any]
-    scores: Callable[[Sequence[Any]], Scores]
+    score: Callable[[Comparison, str], Evaluation]
     says: str
+    shown: Mapping[str, str]
+
+    def scores(self, sequences: Sequence[Evaluation]) -> Scores:
+        """The figures of several sequences together, counted as one."""
+        whole = combine(sequences)
+        return {short: _figure(whole[name]) for short, name in self.shown.items()}
+
+
+def _figure(value: MetricValue) -> float | None:
+    whole = value.unit in ("boxes", "events")
+    return int(value.value) if whole and value.value is not None else value.value
 
 
 def rule_of(dataset: str, name: str | None) -> Rule:
@@ -60,11 +67,11 @@ def rule_of(dataset: str, name: str | None) -> Rule:
     return rules[name]
 
 
-def count_sequence(
+def score_sequence(
     dataset_name: str, dataset: Dataset, sequence: str, kind: str, results: Path, rule: str | None
-) -> Any:
-    """What one sequence of one class adds, by a rule."""
-    return rule_of(dataset_name, rule).count(dataset.compared(sequence, kind, results), kind)
+) -> Evaluation:
+    """One sequence of one class, by a rule."""
+    return rule_of(dataset_name, rule).score(dataset.compared(sequence, kind, results), kind)
 
 
 def _similar(
@@ -76,20 +83,18 @@ def _similar(
     """CLEAR, identity and HOTA over a similarity, the benchmark's ignored boxes left out, and those
     farther from the sensor, seen from above, in whose frame the boxes then are."""
 
-    def count(comparison: Comparison, _kind: str) -> Any:
+    def score(comparison: Comparison, _kind: str) -> Evaluation:
         scene = make_scene(comparison.truth, comparison.tracks)
         truth, tracks = (
             np.hypot(side.position[:, 0], side.position[:, 1]) <= farthest
             for side in (scene.truth, scene.tracks)
         )
         scene = scene.with_rows(truth, tracks)
-        excused = comparison.excused[tracks]
-        similarity = measure(scene, comparison)
-        truth, tracks = kept_rows(scene, similarity, least, excused)
-        pairs = truth[scene.pairs.truth] & tracks[scene.pairs.track]
-        return trackeval_counts(scene.with_rows(truth, tracks), similarity[pairs], least)
+        similar = SimilarScene(scene=scene, similarity=measure(scene, comparison))
+        counted = similar.counted(least, comparison.excused[tracks])
+        return evaluate_trackeval([counted], threshold=least, similarity=says)
 
-    return Rule(count, benchmark_scores, says)
+    return Rule(score, says, _SIMILAR)
 
 
 def _iou3d(scene: Scene, _: Comparison) -> FloatArray:
@@ -115,84 +120,107 @@ def _near_in_argoverse2(scene: Scene, _: Comparison) -> FloatArray:
     return distance_similarity(scene.pairs.distance, 2.0)
 
 
-def _argoverse1(comparison: Comparison, _kind: str) -> Argoverse1Counts:
-    return argoverse1_counts(make_scene(comparison.truth, comparison.tracks))
+def _argoverse1(comparison: Comparison, _kind: str) -> Evaluation:
+    return evaluate_argoverse1([make_scene(comparison.truth, comparison.tracks)])
 
 
-def _argoverse1_scores(counts: Sequence[Argoverse1Counts]) -> Scores:
-    def total(name: str) -> Any:
-        return sum(getattr(one.clear, name) for one in counts)
+def _waymo(level: int) -> Rule:
+    def score(comparison: Comparison, kind: str) -> Evaluation:
+        scene = make_scene(comparison.truth, comparison.tracks)
+        assert comparison.hard is not None
+        sequence = WaymoScene(
+            scene=scene,
+            overlap=waymo_overlap(scene),
+            level=np.where(comparison.hard, 2, 1),
+            in_no_label_zone=comparison.excused,
+        )
+        return evaluate_waymo([sequence], 0.7 if kind == "VEHICLE" else 0.5, level=level)
 
-    truths, matches, objects = total("truths"), total("matches"), total("objects")
-    wrong = total("misses") + total("false_positives") + total("switches")
-    identified = sum(one.identity.true_positives for one in counts)
-    rows = truths + total("tracks")
-    orientation = sum(one.orientation_sum for one in counts)
-    size = sum(one.size_sum for one in counts)
-    return {
-        "MOTA": 1 - wrong / truths if truths else None,
-        "MOTP-C": total("distance_sum") / matches if matches else None,
-        "MOTP-O": orientation / matches if matches else None,
-        "MOTP-I": size / matches if matches else None,
-        "FP": total("false_positives"),
-        "FN": total("misses"),
-        "IDS": total("switches"),
-        "FRAG": total("fragmentations"),
-        "IDF1": 2 * identified / rows if rows else None,
-        "MT": total("mostly_tracked") / objects if objects else None,
-        "ML": total("mostly_lost") / objects if objects else None,
-        "GT": truths,
-    }
+    return Rule(score, f"3D IoU of at least .7 (vehicles) or .5, LEVEL_{level}", _WAYMO)
 
 
-def _waymo(comparison: Comparison, kind: str) -> Mapping[int, WaymoCounts]:
+def _nuscenes(comparison: Comparison, _kind: str) -> Evaluation:
+    return evaluate_nuscenes([make_scene(comparison.truth, comparison.tracks)])
+
+
+def _kitti_devkit(comparison: Comparison, _kind: str) -> Evaluation:
     scene = make_scene(comparison.truth, comparison.tracks)
-    assert comparison.hard is not None
-    sequence = WaymoScene(
+    sequence = KittiScene(
         scene=scene,
-        overlap=waymo_overlap(scene),
-        level=np.where(comparison.hard, 2, 1),
-        in_no_label_zone=comparison.excused,
+        overlap=pair_overlap(scene),
+        ignored_truth=~scene.truth.observable,
+        ignored_tracks=comparison.excused,
     )
-    return waymo_counts(sequence, 0.7 if kind == "VEHICLE" else 0.5)
+    return evaluate_kitti([sequence], 0.25)
 
 
-def _waymo_level(level: int) -> Rule:
-    def scores(counts: Sequence[Mapping[int, WaymoCounts]]) -> Scores:
-        joined = functools.reduce(operator.add, (one[level] for one in counts))
-        values = waymo_scores(joined)
-        return {
-            "MOTA": values.mota,
-            "MOTP": values.motp,
-            "FP": values.false_positives,
-            "misses": values.misses,
-            "mismatches": values.mismatches,
-            "cutoff": values.cutoff,
-            "GT": values.truths,
-        }
-
-    return Rule(_waymo, scores, f"3D IoU of at least .7 (vehicles) or .5, LEVEL_{level}")
-
-
-def _nuscenes(comparison: Comparison, _kind: str) -> Scene:
-    return make_scene(comparison.truth, comparison.tracks)
-
-
-def _nuscenes_scores(scenes: Sequence[Scene]) -> Scores:
-    values = nuscenes_scores(scenes)
-    if values is None:
-        return dict.fromkeys(("AMOTA", "AMOTP"))
-    return {"AMOTA": values.amota, "AMOTP": values.amotp, **values.at_best}
-
+_ERRORS: Final = {
+    "FP": "false_positives",
+    "FN": "misses",
+    "IDS": "id_switches",
+    "FRAG": "fragmentations",
+}
+_SIMILAR: Final = {
+    "MOTA": "mota",
+    "MOTP": "motp",
+    **_ERRORS,
+    "IDF1": "idf1",
+    "HOTA": "hota",
+    "DetA": "deta",
+    "AssA": "assa",
+    "GT": "truths",
+}
+_ARGOVERSE1: Final = {
+    "MOTA": "mota",
+    "MOTP-C": "motp_c",
+    "MOTP-O": "motp_o",
+    "MOTP-I": "motp_i",
+    **_ERRORS,
+    "IDF1": "idf1",
+    "MT": "mostly_tracked",
+    "ML": "mostly_lost",
+    "GT": "truths",
+}
+_WAYMO: Final = {
+    "MOTA": "mota",
+    "MOTP": "motp",
+    "FP": "false_positives",
+    "misses": "misses",
+    "mismatches": "mismatches",
+    "cutoff": "score_cutoff",
+    "GT": "truths",
+}
+_KITTI: Final = {
+    "sAMOTA": "samota",
+    "AMOTA": "amota",
+    "AMOTP": "amotp",
+    "MOTA": "mota",
+    "MOTP": "motp",
+    **_ERRORS,
+    "MT": "mostly_tracked",
+    "ML": "mostly_lost",
+    "GT": "truths",
+}
+_NUSCENES: Final = {
+    "AMOTA": "amota",
+    "AMOTP": "amotp",
+    "MOTAR": "motar",
+    "MOTA": "mota",
+    "MOTP": "motp",
+    "recall": "recall",
+    **_ERRORS,
+    "FAF": "faf",
+    "TID": "tid",
+    "LGD": "lgd",
+    "GT": "truths",
+}
 
 _BARELY_NEARER: Final = 0.5 + 1e-12
 """Strictly within half of 4 m, beyond the rounding that matching forgives."""
 
 RULES: Final[Mapping[str, Mapping[str, Rule]]] = {
     "argoverse1": {
-        "argoverse1": Rule(
-            _argoverse1, _argoverse1_scores, "centres within 2 m, boxes within 100 m"
-        ),
+        "argoverse1": Rule(_argoverse1, "centres within 2 m, boxes within 100 m", _ARGOVERSE1),
     },
     "argoverse2": {
         "argoverse2": _similar(
@@ -203,9 +231,10 @@ RULES: Final[Mapping[str, Mapping[str, Rule]]] = {
         "iou3d": _similar(_iou3d, 0.25, "3D IoU of at least .25"),
         "bev": _similar(_near_from_above, _BARELY_NEARER, "centres within 2 m seen from above"),
         "iou2d": _similar(_iou2d, 0.5, "IoU of at least .5 in the image"),
+        "devkit": Rule(_kitti_devkit, "3D IoU of at least .25, by the devkit's counting", _KITTI),
     },
     "nuscenes": {
-        "nuscenes": Rule(_nuscenes, _nuscenes_scores, "centres within 2 m seen from above"),
+        "nuscenes": Rule(_nuscenes, "centres within 2 m seen from above", _NUSCENES),
     },
-    "waymo": {"level2": _waymo_level(2), "level1": _waymo_level(1)},
+    "waymo": {"level2": _waymo(2), "level1": _waymo(1)},
 }

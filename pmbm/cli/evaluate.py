@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @click.option(
     "--rule",
     metavar="NAME",
-    help="One of the dataset's own, for kitti iou3d, bev or iou2d.  [default: its first]",
+    help="One of the dataset's own, for kitti iou3d, bev, iou2d or devkit.  [default: its first]",
 )
 @click.option("--each", is_flag=True, help="A row for every sequence, too.")
 @click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
@@ -48,7 +48,7 @@ def command(
     Example:
       pmbm evaluate kitti --root kitti --results results --classes Car --sequences 0006 0008
     """
-    from pmbm.cli.dataset_scores import count_sequence, rule_of
+    from pmbm.cli.dataset_scores import rule_of, score_sequence
     from pmbm.cli.track import spread
     from pmbm.datasets import open_dataset
 
@@ -57,11 +57,11 @@ def command(
     names = list(dict.fromkeys(sequences)) or dataset.sequences()
     pairs = [(kind, name) for kind in dataset.classes for name in names]
     tasks = [(dataset_name, dataset, name, kind, results, rule) for kind, name in pairs]
-    counts = dict(zip(pairs, spread(count_sequence, tasks, jobs, "sequences"), strict=True))
+    scored = dict(zip(pairs, spread(score_sequence, tasks, jobs, "sequences"), strict=True))
     table: dict[str, dict[str, Scores]] = {}
     for kind in dataset.classes:
-        whole = by.scores([counts[kind, name] for name in names])
-        parts = {name: by.scores([counts[kind, name]]) for name in names} if each else {}
+        whole = by.scores([scored[kind, name] for name in names])
+        parts = {name: by.scores([scored[kind, name]]) for name in names} if each else {}
         table[kind] = {"all": whole, **parts}
     if json_file is not None:
         _write_json(json_file, {"dataset": dataset_name, "rule": by.says, "scores": table})

@@ -19,8 +19,6 @@ from pmbm.errors import InputError
 from pmbm.metrics import catalogue
 from pmbm.metrics.argoverse1 import argoverse1_counts
 from pmbm.metrics.catalogue import ratio, total
-from pmbm.metrics.hota import HotaCounts, distance_similarity
-from pmbm.metrics.identity import IdentityCounts
 from pmbm.metrics.kitti import (
     KittiAverages,
     KittiCounts,
@@ -32,8 +30,8 @@ from pmbm.metrics.kitti import (
 )
 from pmbm.metrics.nuscenes import NuscenesScores, nuscenes_scores
 from pmbm.metrics.result import Counts, Definition, Direction, Evaluation, Joined, Undefined
-from pmbm.metrics.scene import Scene, pair_overlap
-from pmbm.metrics.trackeval import TrackEvalCounts, trackeval_counts, trackeval_scores
+from pmbm.metrics.scene import Scene
+from pmbm.metrics.trackeval import SimilarScene, trackeval_counts
 from pmbm.metrics.waymo import WaymoCounts, WaymoScene, waymo_counts, waymo_scores
 
 FloatArray = NDArray[np.float64]
@@ -98,39 +96,36 @@ def evaluate_nuscenes(scenes: Sequence[Scene], *, gate: float = 2.0) -> Evaluati
 
 
 def evaluate_trackeval(
-    sequences: Sequence[Scene], similarity: str = "distance", *, threshold: float = 0.5
+    sequences: Sequence[SimilarScene], *, threshold: float = 0.5, similarity: str = "given"
 ) -> Evaluation:
-    """TrackEval over sequences of one class.
+    """CLEAR MOT, identity and HOTA by TrackEval's matching, over sequences of one class.
 
-    similarity : "distance" is max(0, 1 - d / 4 m) of centres in (x, y, z), "iou3d" and "ioubev"
-        the overlap of rotated boxes.  threshold : least similarity of CLEAR MOT and IDF1.
+    threshold : least similarity of CLEAR MOT and IDF1.  similarity : what it is, in words.
+    Counts of all sequences are added, without TrackEval's exception for those in which one side
+    is empty, and what has no denominator is undefined; `trackeval_scores` gives its own zeros.
     """
-    if similarity not in SIMILARITIES:
-        raise InputError(
-            f"no similarity '{similarity}'", field="similarity", expected=", ".join(SIMILARITIES)
-        )
     sums: dict[str, Any] = {}
     for sequence in sequences:
-        counts = trackeval_counts(sequence, SIMILARITIES[similarity](sequence), threshold)
+        counts = trackeval_counts(sequence.scene, sequence.similarity, threshold)
         own = {
-            **{
-                key: value for key, value in vars(counts).items() if key not in ("identity", "hota")
-            },
+            "truths": counts.matches + counts.misses,
+            **{key: value for key, value in vars(counts).items() if key in _TRACKEVAL_CLEAR},
             **{f"identity.{key}": value for key, value in vars(counts.identity).items()},
             **{f"hota.{key}": value for key, value in vars(counts.hota).items()},
-            "sequences": 1,
         }
         sums = {key: sums.get(key, 0) + value for key, value in own.items()}
-    return _evaluation(
-        _TRACKEVAL, sums, {"similarity": similarity, "threshold": threshold}, len(sequences)
-    )
+    parameters = {"similarity": similarity, "threshold": threshold}
+    return _evaluation(_TRACKEVAL, sums, parameters, len(sequences))
 
 
-SIMILARITIES: Final[Mapping[str, Callable[[Scene], FloatArray]]] = {
-    "distance": lambda scene: distance_similarity(scene.pairs.distance_xyz, 4.0),
-    "iou3d": pair_overlap,
-    "ioubev": lambda scene: pair_overlap(scene, vertical=False),
-}
+_TRACKEVAL_CLEAR: Final = (
+    "matches",
+    "misses",
+    "false_positives",
+    "switches",
+    "fragmentations",
+    "similarity_sum",
+)
 
 
 def any_definition(name: str, variant: str) -> Definition:
@@ -175,6 +170,8 @@ def _or_undefined(value: float | None, reason: str) -> float | Undefined:
     return Undefined(reason) if value is None else float(value)
 
 
+_TRUTHS: Final = ("truths", "boxes", "none", "boxes of truth", total("truths"))
+
 _ARGOVERSE1: Final = _table(
     "argoverse1",
     [
@@ -211,6 +208,7 @@ _ARGOVERSE1: Final = _table(
             "objects tracked in less than 20 % of frames",
             ratio("mostly_lost", "objects", _NO_TRUTH),
         ),
+        _TRUTHS,
     ],
 )
 
@@ -237,6 +235,7 @@ _WAYMO: Final = _table(
         ("mismatches", "1", "lower", "changes of identity, per object", _waymo("mismatches")),
         ("false_positives", "1", "lower", "false boxes, per object", _waymo("false_positives")),
         ("score_cutoff", "1", "none", "the best score cutoff", _waymo("cutoff")),
+        ("truths", "boxes", "none", "boxes of truth", _waymo("truths")),
     ],
 )
 
@@ -280,6 +279,7 @@ _KITTI: Final = _table(
         ("samota", "1", "higher", "scaled accuracy over recall", _kitti_average("samota")),
         ("amota", "1", "higher", "accuracy over recall", _kitti_average("amota")),
         ("amotp", "1", "higher", "overlap over recall", _kitti_average("amotp")),
+        _TRUTHS,
     ],
 )
 
@@ -316,49 +316,49 @@ _NUSCENES: Final = _table(
         ("faf", "1", "lower", "false boxes per 100 frames", _nuscenes("faf")),
         ("tid", "s", "lower", "time to the first match", _nuscenes("tid")),
         ("lgd", "s", "lower", "longest gap", _nuscenes("lgd")),
+        ("truths", "boxes", "none", "boxes of truth", _nuscenes("gt")),
     ],
 )
 
 
-def _trackeval(name: str) -> Callable[[Counts], float]:
-    def formula(counts: Counts) -> float:
-        clear = {
-            key: counts[key]
-            for key in TrackEvalCounts.__dataclass_fields__
-            if key not in ("identity", "hota", "one_sided")
-        }
-        own = TrackEvalCounts(
-            **clear,
-            one_sided=counts["one_sided"] == counts["sequences"],
-            identity=IdentityCounts(**_prefixed(counts, "identity.")),
-            hota=HotaCounts(**_prefixed(counts, "hota.")),
-        )
-        return float(trackeval_scores(own)[name])
-
-    return formula
+def _part(prefix: str, formula: Callable[[Counts], Any]) -> Callable[[Counts], Any]:
+    """A formula over the counts whose names begin so."""
+    return lambda counts: formula(
+        {key[len(prefix) :]: value for key, value in counts.items() if key.startswith(prefix)}
+    )
 
 
-def _prefixed(counts: Counts, prefix: str) -> dict[str, Any]:
-    return {
-        key.removeprefix(prefix): value for key, value in counts.items() if key.startswith(prefix)
-    }
+def _hota(curve: Callable[[Counts], FloatArray]) -> Callable[[Counts], Any]:
+    return _part("hota.", catalogue.over_alphas(curve))
 
 
 _TRACKEVAL: Final = _table(
     "trackeval",
     [
-        ("hota", "1", "higher", "detection and association", _trackeval("HOTA_mean")),
-        ("deta", "1", "higher", "detection", _trackeval("DetA_mean")),
-        ("assa", "1", "higher", "association", _trackeval("AssA_mean")),
-        ("loca", "1", "higher", "similarity of matches", _trackeval("LocA_mean")),
-        ("mota", "1", "higher", "CLEAR MOT accuracy", _trackeval("MOTA")),
-        ("motp", "1", "higher", "similarity of matches", _trackeval("MOTP")),
-        ("moda", "1", "higher", "accuracy without identities", _trackeval("MODA")),
-        ("id_switches", "events", "lower", "changes of identity", _trackeval("IDSW")),
-        ("fragmentations", "events", "lower", "restarts", _trackeval("Frag")),
-        ("false_positives", "boxes", "lower", "boxes of nothing", _trackeval("CLR_FP")),
-        ("misses", "boxes", "lower", "objects not found", _trackeval("CLR_FN")),
-        ("idf1", "1", "higher", "agreement of identities", _trackeval("IDF1")),
+        ("hota", "1", "higher", "detection and association", _hota(catalogue.hota_curve)),
+        ("deta", "1", "higher", "detection", _hota(catalogue.deta_curve)),
+        ("assa", "1", "higher", "association", _hota(catalogue.assa_curve)),
+        ("loca", "1", "higher", "similarity of matches", _hota(catalogue.loca_curve)),
+        ("mota", "1", "higher", "CLEAR MOT accuracy", catalogue.mota),
+        (
+            "motp",
+            "1",
+            "higher",
+            "similarity of matches",
+            ratio("similarity_sum", "matches", _NO_MATCH),
+        ),
+        ("id_switches", "events", "lower", "changes of identity", total("switches")),
+        ("fragmentations", "events", "lower", "restarts", total("fragmentations")),
+        ("false_positives", "boxes", "lower", "boxes of nothing", total("false_positives")),
+        ("misses", "boxes", "lower", "objects not found", total("misses")),
+        (
+            "idf1",
+            "1",
+            "higher",
+            "agreement of identities",
+            _part("identity.", catalogue.f1("true_positives", "misses", "false_positives")),
+        ),
+        _TRUTHS,
     ],
 )
 

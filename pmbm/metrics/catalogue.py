@@ -128,7 +128,9 @@ def mota(counts: Counts) -> float | Undefined:
     return 1 - errors / counts["truths"]
 
 
-def _f1(true: str, missed: str, false: str) -> Formula:
+def f1(true: str, missed: str, false: str) -> Formula:
+    """2 true / (2 true + missed + false)."""
+
     def formula(counts: Counts) -> float | Undefined:
         rows = 2 * counts[true] + counts[missed] + counts[false]
         return 2 * counts[true] / rows if rows else Undefined("no truth and no tracks")
@@ -136,7 +138,9 @@ def _f1(true: str, missed: str, false: str) -> Formula:
     return formula
 
 
-def _over_alphas(curve: Callable[[Counts], np.ndarray]) -> Formula:
+def over_alphas(curve: Callable[[Counts], np.ndarray]) -> Formula:
+    """The mean of a curve over HOTA's thresholds."""
+
     def formula(counts: Counts) -> float | Undefined:
         rows = counts["true_positives"] + counts["misses"] + counts["false_positives"]
         return float(curve(counts).mean()) if rows.any() else Undefined("no truth and no tracks")
@@ -289,24 +293,24 @@ _DEFINITIONS: Final = (
     Definition(
         name="idf1", group="identity", unit="1", direction="higher",
         answers="For how long does one track id stay with one object?",
-        formula=_f1("true_positives", "misses", "false_positives"),
+        formula=f1("true_positives", "misses", "false_positives"),
     ),
     Definition(
         name="hota", group="hota", unit="1", direction="higher",
         answers="How good are detection and association together, in equal parts?",
-        formula=_over_alphas(hota_curve),
+        formula=over_alphas(hota_curve),
     ),
     Definition(
         name="deta", group="hota", unit="1", direction="higher",
-        answers="How good is detection alone?", formula=_over_alphas(deta_curve),
+        answers="How good is detection alone?", formula=over_alphas(deta_curve),
     ),
     Definition(
         name="assa", group="hota", unit="1", direction="higher",
-        answers="How good is association alone?", formula=_over_alphas(assa_curve),
+        answers="How good is association alone?", formula=over_alphas(assa_curve),
     ),
     Definition(
         name="loca", group="hota", unit="1", direction="higher",
-        answers="How well placed are matched boxes?", formula=_over_alphas(loca_curve),
+        answers="How well placed are matched boxes?", formula=over_alphas(loca_curve),
     ),
     Definition(
         name="cardinality_error", group="cardinality", unit="objects", direction="none",

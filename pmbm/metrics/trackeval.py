@@ -19,8 +19,35 @@ from pmbm.metrics.scene import Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 _EPS: Final = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SimilarScene:
+    """One sequence and class, with the similarity (Q,) of the scene's pairs, in [0, 1]."""
+
+    scene: Scene
+    similarity: FloatArray
+
+    def counted(self, least: float, excused: BoolArray) -> SimilarScene:
+        """What is left where some boxes count neither way, as TrackEval takes them out for KITTI.
+
+        In every frame truth and tracks of at least this similarity are matched for the largest
+        total.  Tracks matched to truth that is not observable are left out, and so are unmatched
+        tracks that are `excused` (K,); of the truth, what is not observable.
+        """
+        scene, pairs = self.scene, self.scene.pairs
+        near = np.flatnonzero(self.similarity >= least)
+        chosen = near[best_matching(pairs.truth[near], pairs.track[near], self.similarity[near])]
+        truth, track = pairs.truth[chosen], pairs.track[chosen]
+        seen = scene.truth.observable
+        dropped = excused.copy()
+        dropped[track] = False
+        dropped[track[~seen[truth]]] = True
+        left = seen[pairs.truth] & ~dropped[pairs.track]
+        return SimilarScene(scene=scene.with_rows(seen, ~dropped), similarity=self.similarity[left])
 
 
 @dataclass(frozen=True, kw_only=True)

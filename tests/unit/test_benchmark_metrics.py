@@ -19,6 +19,7 @@ from pmbm.metrics.benchmarks import (
 from pmbm.metrics.kitti import KittiScene
 from pmbm.metrics.result import combine
 from pmbm.metrics.scene import Scene, make_scene, pair_overlap, scene_of
+from pmbm.metrics.trackeval import SimilarScene
 from pmbm.metrics.waymo import WaymoScene, waymo_overlap
 
 
@@ -46,6 +47,10 @@ def kitti(made: Scene, ignored_truth=(), ignored_tracks=()) -> KittiScene:
     one.ignored_truth[list(ignored_truth)] = True
     one.ignored_tracks[list(ignored_tracks)] = True
     return one
+
+
+def alike(made: Scene) -> SimilarScene:
+    return SimilarScene(scene=made, similarity=pair_overlap(made))
 
 
 class TestKitti:
@@ -185,9 +190,34 @@ class TestNuscenes:
         assert apart.scalars() == together.scalars()
 
 
+class TestTrackEval:
+    @pytest.mark.parametrize(
+        ("tracks", "excused", "false"),
+        [
+            # Matched to the hidden car 2, a track is left out; matched to nothing it is false,
+            # unless it is excused.
+            ({7: (0, 0), 8: (20, 0)}, [False, False], 0),
+            ({7: (0, 0), 8: (50, 0)}, [False, False], 1),
+            ({7: (0, 0), 8: (50, 0)}, [True, True], 0),
+        ],
+    )
+    def test_what_counts_neither_way_is_taken_out(self, tracks, excused, false):
+        recording, reports = run_of([{1: (0, 0), 2: (20, 0)}], [tracks], hidden={0: [2]})
+        made = alike(scene_of(recording, reports)).counted(0.5, np.array(excused))
+        scores = evaluate_trackeval([made]).scalars()
+        assert scores["truths"] == 1
+        assert scores["misses"] == 0
+        assert scores["false_positives"] == false
+
+    def test_without_truth_nothing_is_defined_but_the_false_boxes(self):
+        evaluation = evaluate_trackeval([alike(scene([{}], [{7: (0, 0)}]))])
+        assert evaluation["mota"].value is None
+        assert evaluation["false_positives"].value == 1
+
+
 def test_trackeval_combines_by_counts():
-    good = scene([{1: (0, 0)}] * 3, [{7: (0, 0)}] * 3)
-    bad = scene([{1: (0, 0)}], [{}])
+    good = alike(scene([{1: (0, 0)}] * 3, [{7: (0, 0)}] * 3))
+    bad = alike(scene([{1: (0, 0)}], [{}]))
     together = evaluate_trackeval([good, bad])
     assert together["mota"].value == pytest.approx(3 / 4)
     apart = combine([evaluate_trackeval([good]), evaluate_trackeval([bad])])
@@ -201,7 +231,7 @@ def test_trackeval_combines_by_counts():
         lambda made: evaluate_waymo([waymo(made)], 0.7),
         lambda made: evaluate_kitti([kitti(made)], 0.25),
         lambda made: evaluate_nuscenes([made]),
-        lambda made: evaluate_trackeval([made], "iou3d"),
+        lambda made: evaluate_trackeval([alike(made)]),
     ],
 )
 def test_benchmark_evaluations_pickle_print_and_name_their_variant(evaluate):
@@ -218,5 +248,3 @@ def test_benchmarks_refuse_what_they_cannot_use():
         evaluate_nuscenes([])
     with pytest.raises(InputError, match="level"):
         evaluate_waymo([], 0.7, level=3)
-    with pytest.raises(InputError, match="similarity"):
-        evaluate_trackeval([], "iou")

@@ -113,6 +113,20 @@ def test_rules_differ_in_what_they_compare(folder, capsys):
     assert evaluate(capsys, *places)["Cyclist"]["all"]["HOTA"] is None
 
 
+def test_the_devkit_s_own_counting(folder, capsys):
+    """Its average over recall, and no switch after a gap."""
+    truth = [row(k, 1, "Car", 0) for k in range(3)]
+    results = [row(0, 7, "Car", 0, score=1), row(2, 8, "Car", 0, score=1)]
+    places = write(folder, truth, results)
+    by = {
+        rule: evaluate(capsys, *places, "--rule", rule)["Car"]["all"]
+        for rule in ("iou3d", "devkit")
+    }
+    assert by["iou3d"]["IDS"] == 1
+    assert by["devkit"]["IDS"] == 0
+    assert 0 < by["devkit"]["sAMOTA"] < 1
+
+
 def test_two_metres_are_too_far(folder, capsys):
     for away, missed in ((1.999, 0), (2.0, 1)):
         places = write(folder, [row(0, 1, "Car", 0)], [row(0, 7, "Car", away, score=1)])
