@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmbm.assignment import k_best_choices
-from pmbm.filter.clusters import components, join
+from pmbm.filter.clusters import components, join, row_limit
 from pmbm.filter.density import Density, Globals, Index, Mixture, ragged, starts, summed
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
@@ -134,7 +134,8 @@ def associate(
     else:
         parents, cluster = table, np.zeros(len(z), np.intp)
 
-    children = _children(parents, cluster, known, log_missed, log_new, max_hypotheses, margin)
+    allowed = row_limit(parents, max_hypotheses)[parents.cluster] if clustering else max_hypotheses
+    children = _children(parents, cluster, known, log_missed, log_new, allowed, margin)
     return Association(
         parents,
         cluster,
@@ -192,7 +193,7 @@ def _children(
     known: Pairs,
     log_missed: FloatArray,
     log_new: FloatArray,
-    max_hypotheses: int,
+    allowed: Index | int,
     margin: float,
 ) -> Children:
     """The best children of every parent.
@@ -225,7 +226,7 @@ def _children(
         -gain[pair],
         first_row=starts(np.bincount(parent[new_row], minlength=len(parents))),
         first_column=parents.start,
-        ks=np.ceil(max_hypotheses * np.exp(parents.log_weight) - 1e-9).clip(1).astype(np.intp),
+        ks=np.ceil(allowed * np.exp(parents.log_weight) - 1e-9).clip(1).astype(np.intp),
         margin=margin,
     )
     return Children(

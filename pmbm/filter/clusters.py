@@ -8,7 +8,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pmbm.filter.density import Globals, Index, ragged, starts, summed
-from pmbm.types import FloatArray
+from pmbm.types import ABSENT, FloatArray
+
+_SPLITMIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
+LARGEST_TABLE = 6000
+"""Members in the table of one cluster.  A cluster of more tracks keeps fewer hypotheses, so that no
+frame takes longer than its number of objects warrants."""
+_WORTH_FACTORING = 32
+"""Members in a cluster's table, above which a split may save more than it costs."""
 
 
 def components(
@@ -40,8 +47,9 @@ def join(table: Globals, component: Index, number: int, cap: int) -> Globals:
     """The product of the hypotheses of the clusters of each component.
 
     component (C,) of each cluster, out of `number`.  A component without clusters gets one empty
-    hypothesis.  Where a product would have more than `cap` rows, its `cap` best are kept, which
-    are exact: a row among the best of a product is made of rows among the best of each factor.
+    hypothesis.  Where a product would have more than `cap` rows (fewer, by `LARGEST_TABLE`), the
+    best are kept; they are exact, since a row among the best of a product is made of rows among
+    the best of each factor.
     """
     if np.array_equal(component, np.arange(table.clusters)):
         return _with_empty_clusters(table, number - table.clusters)
@@ -83,12 +91,13 @@ def _product_rows(
     rows_of = np.where(one_row, 1, np.bincount(owner, minlength=number))
     products = {}
     first_row = _first_row(table)
+    breadth = summed(np.diff(table.start), table.cluster, table.clusters) / size
     for label in np.flatnonzero(~plain).tolist():
         members = np.flatnonzero(component == label)
         products[label] = _best_of_product(
             [np.arange(first_row[c], first_row[c] + size[c]) for c in members],
             table.log_weight,
-            cap,
+            int(np.clip(LARGEST_TABLE / max(breadth[members].sum(), 1.0), 1, cap)),
         )
         rows_of[label] = len(products[label])
     first = starts(rows_of)[:-1]
@@ -145,3 +154,135 @@ def split(table: Globals, locals_count: int) -> Globals:
 
 def _first_row(table: Globals) -> Index:
     return np.searchsorted(table.cluster, np.arange(table.clusters))
+
+
+def merge_equal(table: Globals) -> Globals:
+    """Global hypotheses of one cluster that say the same become one, of their weights' sum.
+
+    Rows are compared by the sum of a 64-bit hash of each of their members.
+    """
+    if len(table) == table.clusters:
+        return table
+    # One is added, since zero hashes to zero and would look like an absent member.
+    key = (table.member + 1).astype(np.uint64) * _SPLITMIX[0]
+    key = (key ^ (key >> np.uint64(30))) * _SPLITMIX[1]
+    key = (key ^ (key >> np.uint64(27))) * _SPLITMIX[2]
+    key ^= key >> np.uint64(31)
+    running = np.zeros(len(key) + 1, np.uint64)
+    np.cumsum(key, out=running[1:])
+    total = running[table.start[1:]] - running[table.start[:-1]]
+    order = np.lexsort((total, table.cluster))
+    new = np.ones(len(order), bool)
+    new[1:] = (np.diff(total[order]) != 0) | (np.diff(table.cluster[order]) != 0)
+    if new.all():
+        return table
+    first = np.flatnonzero(new)
+    kept = order[first]
+    top = np.maximum.reduceat(table.log_weight[order], first)
+    count = np.diff(first, append=len(order))
+    weight = np.exp(table.log_weight[order] - np.repeat(top, count))
+    log_weight = table.log_weight.copy()
+    log_weight[kept] = top + np.log(np.add.reduceat(weight, first))
+    mask = np.zeros(len(table), bool)
+    mask[kept] = True
+    members = np.diff(table.start)
+    return Globals(
+        table.cluster[mask],
+        log_weight[mask],
+        starts(members[mask]),
+        table.member[np.repeat(mask, members)],
+    )
+
+
+def row_limit(table: Globals, cap: int) -> Index:
+    """(C,) hypotheses that each cluster may have: `cap`, or fewer where that many would hold more
+    than `LARGEST_TABLE` members."""
+    rows = np.bincount(table.cluster, minlength=table.clusters)
+    members = summed(np.diff(table.start), table.cluster, table.clusters)
+    return np.clip(LARGEST_TABLE * rows / np.maximum(members, 1.0), 1, cap).astype(np.intp)
+
+
+def factor(table: Globals, track: Index, tolerance: float) -> Globals:
+    """The mixture with large clusters taken apart where groups of their tracks hardly depend on
+    one another: each such cluster becomes the product of its groups' marginal tables.
+
+    track (H,) of each local hypothesis.  Two tracks depend on each other by the sum, over their
+    pairs of local hypotheses, of |P(both) - P(one) P(other)|; groups are connected by pairs above
+    `tolerance`.
+    """
+    members = summed(np.diff(table.start), table.cluster, table.clusters)
+    rows = np.bincount(table.cluster, minlength=table.clusters)
+    large = (members > _WORTH_FACTORING) & (rows >= 4)
+    if tolerance <= 0 or not large.any():
+        return table
+    parts = [_rows_of(table, ~large[table.cluster])]
+    first_row = _first_row(table)
+    for cluster in np.flatnonzero(large).tolist():
+        own = slice(first_row[cluster], first_row[cluster] + rows[cluster])
+        choice, weight = _dense(table, own, track), np.exp(table.log_weight[own])
+        parts += [
+            _marginal(choice[:, group], weight) for group in _groups(choice, weight, tolerance)
+        ]
+    return _stacked(parts)
+
+
+def _dense(table: Globals, rows: slice, track: Index) -> Index:
+    """(G,J) local hypothesis of each track in each of these rows, or ABSENT."""
+    first, last = table.start[rows.start], table.start[rows.stop]
+    member = table.member[first:last]
+    tracks, column = np.unique(track[member], return_inverse=True)
+    choice = np.full((rows.stop - rows.start, len(tracks)), ABSENT, np.intp)
+    count = np.diff(table.start[rows.start : rows.stop + 1])
+    choice[np.repeat(np.arange(len(count)), count), column] = member
+    return choice
+
+
+def _groups(choice: Index, weight: FloatArray, tolerance: float) -> list[Index]:
+    """Columns of a dense table (G,J), in groups that hardly depend on each other."""
+    tracks = choice.shape[1]
+    present = choice != ABSENT
+    names, column = np.unique(choice[present], return_inverse=True)
+    taken = np.zeros((len(choice), len(names)))
+    row, owner = np.nonzero(present)
+    taken[row, column] = 1.0
+    of_track = np.zeros((len(names), tracks))
+    of_track[column, owner] = 1.0
+    p = weight @ taken
+    dependence = np.abs((taken * weight[:, None]).T @ taken - np.outer(p, p))
+    between = of_track.T @ dependence @ of_track
+    number, label = connected_components(coo_array(between > tolerance), directed=False)
+    return [np.flatnonzero(label == one) for one in range(number)]
+
+
+def _marginal(choice: Index, weight: FloatArray) -> Globals:
+    """One cluster of the distinct rows of a dense table, each with the weight of all like it."""
+    rows, which = np.unique(choice, axis=0, return_inverse=True)
+    present = rows != ABSENT
+    return Globals(
+        np.zeros(len(rows), np.intp),
+        np.log(summed(weight, which.ravel(), len(rows))),
+        starts(present.sum(axis=1)),
+        rows[present],
+    )
+
+
+def _rows_of(table: Globals, keep: np.ndarray) -> Globals:
+    """Only these rows, whole clusters of them, numbered from 0 again."""
+    count = np.diff(table.start)
+    return Globals(
+        np.unique(table.cluster[keep], return_inverse=True)[1],
+        table.log_weight[keep],
+        starts(count[keep]),
+        table.member[np.repeat(keep, count)],
+    )
+
+
+def _stacked(tables: list[Globals]) -> Globals:
+    """The product of tables of different clusters."""
+    clusters = starts(np.array([table.clusters for table in tables]))
+    return Globals(
+        np.concatenate([t.cluster + n for t, n in zip(tables, clusters, strict=False)]),
+        np.concatenate([t.log_weight for t in tables]),
+        starts(np.concatenate([np.diff(t.start) for t in tables])),
+        np.concatenate([t.member for t in tables]),
+    )

@@ -58,6 +58,8 @@ class PMBMConfig:
     max_tracks, max_undetected : tracks and PPP components kept, >= 1.
     clustering : whether independent groups of tracks are kept apart; off, one table of global
         hypotheses spans the scene (the textbook form, for small scenes).
+    split_below : groups of tracks of one cluster part where they depend on each other by less than
+        this total variation, >= 0; 0 parts only tracks whose hypothesis is certain.
 
     Output
     report_above : a track is reported when its probability of existence exceeds this, in [0, 1].
@@ -92,6 +94,7 @@ class PMBMConfig:
     max_tracks: int = 200_000
     max_undetected: int = 200_000
     clustering: bool = True
+    split_below: float = 1e-3
     report_above: float = 0.5
     history: int = 0
 
@@ -189,6 +192,7 @@ _BOUNDS: dict[str, tuple[float, float, bool, bool]] = {
     "merge_undetected": _NOT_NEGATIVE,
     "max_tracks": _COUNT,
     "max_undetected": _COUNT,
+    "split_below": _NOT_NEGATIVE,
     "report_above": _PROBABILITY,
     "history": (0, np.inf, False, True),
 }

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmbm.filter.clusters import split
+from pmbm.filter.clusters import factor, merge_equal, row_limit, split
 from pmbm.filter.density import Density, Globals, Index, Mixture, starts
 from pmbm.filter.gating import near
 from pmbm.filter.gaussian import moments
@@ -16,7 +16,6 @@ from pmbm.filter.update import normalised
 _FEW = 20
 _ALIKE = 1.0
 """Largest difference of log position areas (of log sds, summed) between components that merge."""
-_SPLITMIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +46,7 @@ class Limits:
     merge_undetected: float
     max_undetected: int
     clustering: bool
+    split_below: float
 
 
 def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
@@ -58,7 +58,10 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
     """
     table = density.hypotheses
     likely = _likely(table, limits.prune_hypothesis)
-    capped = _best(table, likely, limits.max_hypotheses)
+    cap = np.full(table.clusters, limits.max_hypotheses)
+    if limits.clustering:
+        cap = row_limit(table, limits.max_hypotheses)
+    capped = _best(table, likely, cap)
     pruned = len(table) - int(likely.sum())
     over = int(likely.sum()) - int(capped.sum())
     density = replace(density, hypotheses=_keep(table, capped))
@@ -67,10 +70,12 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
     before = len(density.hypotheses)
     if recycled or tracks_capped:
         # Hypotheses that differ stay different as long as nothing is taken out of them.
-        density = replace(density, hypotheses=_merge_equal(density.hypotheses))
+        density = replace(density, hypotheses=merge_equal(density.hypotheses))
     merged = before - len(density.hypotheses)
     if limits.clustering:
-        density = replace(density, hypotheses=split(density.hypotheses, len(density.local)))
+        apart = split(density.hypotheses, len(density.local))
+        apart = factor(apart, density.local.track, limits.split_below)
+        density = replace(density, hypotheses=apart)
     density = _compact(density)
 
     ppp = Mixture.joined(density.undetected, returned)
@@ -110,8 +115,8 @@ def _likely(table: Globals, threshold: float) -> np.ndarray:
     return likely
 
 
-def _best(table: Globals, likely: np.ndarray, cap: int) -> np.ndarray:
-    """(G,) the `cap` heaviest of the likely rows of each cluster."""
+def _best(table: Globals, likely: np.ndarray, cap: Index) -> np.ndarray:
+    """(G,) the heaviest of the likely rows of each cluster, `cap` (C,) of them."""
     rows = np.flatnonzero(likely)
     count = np.bincount(table.cluster[rows], minlength=table.clusters)
     if (count <= cap).all():
@@ -119,7 +124,7 @@ def _best(table: Globals, likely: np.ndarray, cap: int) -> np.ndarray:
     order = rows[np.lexsort((-table.log_weight[rows], table.cluster[rows]))]
     rank = np.arange(len(order)) - (np.cumsum(count) - count)[table.cluster[order]]
     best = np.zeros(len(table), bool)
-    best[order[rank < cap]] = True
+    best[order[rank < cap[table.cluster[order]]]] = True
     return best
 
 
@@ -170,44 +175,6 @@ def _recycle(density: Density, limits: Limits) -> tuple[Density, int, int, Mixtu
         with np.errstate(divide="ignore"):
             returned = Mixture(np.log(weight), local.mean[rows], local.cov[rows])
     return replace(density, hypotheses=emptied), len(rows), capped, returned
-
-
-def _merge_equal(table: Globals) -> Globals:
-    """Global hypotheses of one cluster that say the same become one, of their weights' sum.
-
-    Rows are compared by the sum of a 64-bit hash of each of their members.
-    """
-    if len(table) == table.clusters:
-        return table
-    # One is added, since zero hashes to zero and would look like an absent member.
-    key = (table.member + 1).astype(np.uint64) * _SPLITMIX[0]
-    key = (key ^ (key >> np.uint64(30))) * _SPLITMIX[1]
-    key = (key ^ (key >> np.uint64(27))) * _SPLITMIX[2]
-    key ^= key >> np.uint64(31)
-    running = np.zeros(len(key) + 1, np.uint64)
-    np.cumsum(key, out=running[1:])
-    total = running[table.start[1:]] - running[table.start[:-1]]
-    order = np.lexsort((total, table.cluster))
-    new = np.ones(len(order), bool)
-    new[1:] = (np.diff(total[order]) != 0) | (np.diff(table.cluster[order]) != 0)
-    if new.all():
-        return table
-    first = np.flatnonzero(new)
-    kept = order[first]
-    top = np.maximum.reduceat(table.log_weight[order], first)
-    count = np.diff(first, append=len(order))
-    weight = np.exp(table.log_weight[order] - np.repeat(top, count))
-    log_weight = table.log_weight.copy()
-    log_weight[kept] = top + np.log(np.add.reduceat(weight, first))
-    mask = np.zeros(len(table), bool)
-    mask[kept] = True
-    members = np.diff(table.start)
-    return Globals(
-        table.cluster[mask],
-        log_weight[mask],
-        starts(members[mask]),
-        table.member[np.repeat(mask, members)],
-    )
 
 
 def _compact(density: Density) -> Density:

@@ -235,6 +235,7 @@ def scenario_case():
         merge_undetected=0.0,
         max_undetected=10**9,
         clustering=False,
+        split_below=0.0,
     )
     found = re.search(r"ceil\((\d+)\s*\*", str(params["murty_k"]))
     murty = int(found.group(1)) if found else params["N_hyp_max"]
@@ -329,6 +330,7 @@ def test_a_tiny_problem_solved_exactly(path):
         merge_undetected=0.0,
         max_undetected=10**9,
         clustering=False,
+        split_below=0.0,
     )
     case = Case(values, "[px, vx, py, vy]", 1e12, everything, 10**9)
     compare = Comparison(rtol=1e-9, atol=1e-9)

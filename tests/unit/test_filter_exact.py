@@ -21,6 +21,7 @@ from pmbm.filter.update import update
 
 H = np.eye(2, 4)
 SENSOR = Sensor(R=np.diag([0.2, 0.3]), detection=0.8, clutter=0.01)
+P1 = np.diag([2.0, 1.0, 3.0, 4.0])
 KEEP_ALL = Limits(
     prune_hypothesis=0.0,
     max_hypotheses=10**15,
@@ -31,6 +32,7 @@ KEEP_ALL = Limits(
     merge_undetected=0.0,
     max_undetected=10**6,
     clustering=False,
+    split_below=0.0,
 )
 
 
@@ -233,8 +235,9 @@ def test_a_parent_gets_children_in_proportion_to_its_weight():
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 4])
-def test_clusters_on_and_off_give_the_same_density(seed):
+def test_clusters_on_and_off_give_the_same_density(seed, monkeypatch):
     """Four steps of two groups that stay apart and one that comes and goes, caps inactive."""
+    monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", 10**12)
     rng = np.random.default_rng(seed)
     ppp = mixture([0.5], np.zeros((1, 4)), np.diag([900.0, 900.0, 4.0, 4.0])[None])
     starts = {False: Density.initial(ppp, clustering=False), True: Density.initial(ppp)}
@@ -275,6 +278,49 @@ def test_a_measurement_joins_clusters_and_a_clear_one_lets_them_part():
     assert sure.hypotheses.clusters == len(sure.track_id) >= 2
 
 
+def product_of(*tables):
+    """A mixture over several groups of tracks as one table: every combination of their rows."""
+    return [
+        (math.prod(w for w, _ in rows), {t: n for _, chosen in rows for t, n in chosen.items()})
+        for rows in itertools.product(*tables)
+    ]
+
+
+def test_a_table_that_factors_is_taken_apart_exactly():
+    """Two groups of two tracks, dependent inside and independent of each other, and a group whose
+    tracks exclude each other: three clusters, the same mixture."""
+    tracks = [[(0.5 + 0.1 * n, [t, n, 0, 0], P1) for n in range(3)] for t in range(6)]
+    one = [(0.5, {0: 0, 1: 0}), (0.3, {0: 1, 1: 1}), (0.2, {0: 2})]
+    two = [(0.6, {2: 0, 3: 1}), (0.4, {2: 1, 3: 0})]
+    three = [(0.7, {4: 0}), (0.3, {5: 1})]
+    prior = density(Mixture.empty(), tracks, product_of(one, two, three))
+    after, _ = reduce(prior, limits(clustering=True, split_below=1e-9))
+    assert after.hypotheses.clusters == 3
+    assert len(after.hypotheses) == 3 + 2 + 2
+    assert_same(as_sets(after), as_sets(prior))
+    kept, _ = reduce(prior, limits(clustering=True, split_below=0.0))
+    assert kept.hypotheses.clusters == 1
+    tied = [(w * (1.5 if c[0] == 0 and 4 in c else 0.8), c) for w, c in product_of(one, two, three)]
+    total = sum(w for w, _ in tied)
+    whole, _ = reduce(
+        density(Mixture.empty(), tracks, [(w / total, c) for w, c in tied]),
+        limits(clustering=True, split_below=1e-3),
+    )
+    assert whole.hypotheses.clusters == 2
+
+
+def test_a_crowd_in_one_cluster_does_bounded_work(monkeypatch):
+    monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", 60)
+    rng = np.random.default_rng(0)
+    tracks = [[(0.6, [x, 0, 0, 0], P1)] for x in range(12)]
+    prior = density(Mixture.empty(), tracks, [(1.0, dict.fromkeys(range(12), 0))])
+    z = np.column_stack([rng.uniform(0, 11, 12), rng.normal(0, 1, 12)])
+    after = step(prior, z, gate=20.0, k=1000, clustering=True)
+    assert len(after.hypotheses) <= 6
+    reduced, _ = reduce(after, limits(clustering=True, max_hypotheses=1000))
+    assert len(reduced.hypotheses.member) <= 60
+
+
 @pytest.mark.parametrize("limit", [5, 100])
 def test_joining_large_clusters_keeps_the_best_of_their_product(limit):
     rng = np.random.default_rng(5)
@@ -296,8 +342,6 @@ def test_joining_large_clusters_keeps_the_best_of_their_product(limit):
 
 
 # --- mistakes found in public implementations -----------------------------------------------------
-
-P1 = np.diag([2.0, 1.0, 3.0, 4.0])
 
 
 def test_likelihood_is_taken_at_the_predicted_mean():

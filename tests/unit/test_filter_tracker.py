@@ -281,6 +281,7 @@ def test_clustering_changes_the_bookkeeping_alone():
         "merge_undetected": 0.0,
         "prune_undetected": 0.0,
         "gate": 30.0,
+        "split_below": 0.0,
     }
     frames = drive(10, frames=5, objects=2, clutter=0.3)
     a = PMBMTracker(PMBMConfig(clustering=True, **config))
