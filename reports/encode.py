@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmbm.labels import Label
 from pmbm.types import CLUTTER, FloatArray, IntArray, Recording, Tracks, TrackSequence
-from reports.matching import BoolPair, first_detection, matched
+from reports.matching import BoolPair, first_detection, identity_switches, matched
 from reports.values import Replay
 
 METRE, RADIAN, SHARE, SPEED = 0.01, 0.001, 0.01, 0.05
@@ -59,6 +59,7 @@ def encode_replay(replay: Replay) -> dict[str, Any]:
             {
                 "name": name,
                 **_tracks(tracks, matches[name], centre, blob),
+                "switches": _switches(recording, tracks),
                 "missed": _missed(recording, tracks, matches[name], blob),
                 "undetected": _undetected(tracks, centre, blob),
                 "steps": tracks.frame.tolist(),
@@ -216,6 +217,14 @@ def _missed(
         frame=(np.array(frames, dtype=np.int64)[order], 1),
         object=(np.array(objects, dtype=np.int64)[order], 1),
     )
+
+
+def _switches(recording: Recording, tracks: TrackSequence) -> list[list[int | str]]:
+    """Frame, and as text the object's id and its old and new track ids."""
+    return [
+        [switch.frame, str(switch.object), str(switch.old), str(switch.new)]
+        for switch in identity_switches(recording, tracks)
+    ]
 
 
 def _undetected(tracks: TrackSequence, centre: FloatArray, blob: _Blob) -> dict[str, Any] | None:

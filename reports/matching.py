@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from pmbm.geometry import centre_distance
-from pmbm.types import CLUTTER, GroundTruth, Recording, Tracks
+from pmbm.metrics.clear import clear_matches
+from pmbm.metrics.scene import scene_of
+from pmbm.types import CLUTTER, GroundTruth, Recording, Tracks, TrackSequence
 
 MISS_DISTANCE = 4.0
 """m; GOSPA's cut-off, so that the marks agree with its missed and false parts."""
+
+
+@dataclass(frozen=True)
+class Switch:
+    """In `frame` the object is followed under another track id than before."""
+
+    frame: int
+    object: int
+    old: int
+    new: int
+
 
 BoolPair = tuple[NDArray[np.bool_], NDArray[np.bool_]]
 
@@ -43,3 +58,23 @@ def first_detection(recording: Recording) -> dict[int, int]:
         for i in recording.truth[frame].id[origin[origin != CLUTTER]].tolist():
             first[i] = min(frame, first.get(i, frame))
     return first
+
+
+def identity_switches(recording: Recording, tracks: TrackSequence) -> list[Switch]:
+    """The switches that CLEAR MOT counts, by frame (its standard matching at 2 m)."""
+    scene = scene_of(recording, tracks)
+    matches = clear_matches(scene)
+    last: dict[int, int] = {}
+    found = []
+    for step, row, track, switch in zip(
+        matches.frame.tolist(),
+        matches.truth.tolist(),
+        matches.track.tolist(),
+        matches.switch.tolist(),
+        strict=True,
+    ):
+        identity, new = int(scene.truth.id[row]), int(scene.tracks.id[track])
+        if switch:
+            found.append(Switch(int(tracks.frame[step]), identity, last[identity], new))
+        last[identity] = new
+    return found

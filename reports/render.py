@@ -21,7 +21,7 @@ LAYERS = (
     ("trails", "trails"),
     ("velocity", "velocity, 1 s"),
     ("uncertainty", "uncertainty, 2σ"),
-    ("errors", "missed, false"),
+    ("errors", "missed, false, switched"),
     ("shadows", "shadows"),
     ("view", "field of view"),
     ("site", "site"),

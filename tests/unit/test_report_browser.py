@@ -181,7 +181,9 @@ def test_trackers_switch_and_stand_side_by_side(plain):
     first = pixels(plain)
     click(plain, "[data-tracker='1']")
     assert pixels(plain) != first
-    assert plain.find_element("css selector", ".caption").text == "5 tracks · 0 missed · 1 false"
+    assert plain.find_element("css selector", ".caption").text == (
+        "5 tracks · 0 missed · 1 false · 0 id switches so far"
+    )
     click(plain, "[data-tracker=compare]")
     captions = [e.text for e in plain.find_elements("css selector", ".caption")]
     assert [text.split(":")[0] for text in captions] == ["careful", "sloppy"]
@@ -208,6 +210,21 @@ def test_keys(plain):
     scale = plain.execute_script("return player.camera.scale")
     press(plain, "+")
     assert plain.execute_script("return player.camera.scale") > scale
+
+
+def test_identity_switches_are_told(plain):
+    plain.execute_script("player.choose(1); player.seek(60)")
+    settle(plain)
+    assert "0 id switches" in plain.find_element("css selector", ".caption").text
+    plain.execute_script("player.seek(61)")
+    settle(plain)
+    assert "1 id switch so" in plain.find_element("css selector", ".caption").text
+    assert plain.execute_script("return player.data.trackers[1].switches") == [
+        [61, "22", "22", "122"]
+    ]
+    marked = pixels(plain)
+    click(plain, "[data-layer=errors]")
+    assert pixels(plain) != marked
 
 
 def test_dragging_pans_and_fit_comes_back(plain):
@@ -327,7 +344,9 @@ def test_empty_recordings_and_no_tracks_are_shown(browser, tmp_path):
     path.write_text(page(scene, {"silent": none}), encoding="utf-8")
     opened(browser, path)
     assert complaints(browser) == []
-    assert browser.find_element("css selector", ".caption").text == "0 tracks · 5 missed · 0 false"
+    assert browser.find_element("css selector", ".caption").text.startswith(
+        "0 tracks · 5 missed · 0 false"
+    )
 
 
 def test_a_study_page_shows_its_curves_and_worst_trials(browser, tmp_path):

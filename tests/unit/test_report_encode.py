@@ -9,6 +9,7 @@ import pytest
 from traffic import recording, tracks
 
 from pmbm.errors import InputError
+from pmbm.metrics import evaluate
 from pmbm.types import (
     CLUTTER,
     Detections,
@@ -91,6 +92,15 @@ def test_tracks_missed_and_false():
     assert np.bincount(missed["frame"].astype(int))[:3].tolist() == [5, 5, 5]
     # The hidden car has no track then, but is not observable: no miss.
     assert missed["frame"].max() == 2
+
+
+def test_switches_are_those_that_clear_counts():
+    scene = recording()
+    sloppy = tracks(scene, sloppy=True)
+    switches = encoded(scene, {"a": sloppy})["trackers"][0]["switches"]
+    # Hidden until frame 48, followed as 22 from there, as 122 from frame 61.
+    assert switches == [[61, "22", "22", "122"]]
+    assert len(switches) == evaluate(scene, sloppy)["id_switches"].value
 
 
 def test_ids_beyond_what_a_float_holds():

@@ -309,7 +309,9 @@ class Player {
     const rows = tracker.at[state.frame];
     const wrong = rows.filter((row) => tracker.false[row]).length;
     const counts = `${rows.length} tracks · ${tracker.missed.at[state.frame].length} missed · ${wrong} false`;
-    return state.compare ? `${tracker.name}: ${counts}` : counts;
+    const switches = tracker.switches.filter(([frame]) => frame <= state.frame).length;
+    const words = `${counts} · ${switches} id switch${switches === 1 ? "" : "es"} so far`;
+    return state.compare ? `${tracker.name}: ${words}` : words;
   }
 
   // Expected and true number of undetected objects in [x0, y0, x1, y1], for the shown tracker.

@@ -22,6 +22,7 @@ class Plots {
     const rows = [
       {
         title: "objects",
+        switches: true,
         lines: [
           { name: "true, observable", values: scored, truth: true },
           ...data.trackers.map((t, i) => ({ name: t.name, tracker: i, values: onFrames(data, t, t.steps.map((f) => t.at[f].length)) })),
@@ -143,11 +144,32 @@ class Plots {
       cut.forEach((frame) => this.cut(this.x(frame), box.top));
       c.restore();
     }
+    if (row.switches) this.switches(box, state);
     this.heading(row, box, row.lines.map((line) => ({
       name: line.name,
       value: line.values[state.frame] ?? null,
       colour: line.truth ? this.colours.truth : this.colours.tracker(line.tracker),
     })));
+  }
+
+  // A diamond where an object changed its track id; with several trackers shown, a line for each.
+  switches(box, state) {
+    const c = this.context;
+    const shown = state.compare ? this.data.trackers.map((_, i) => i) : [state.tracker];
+    let y = box.bottom - 7;
+    for (const index of shown) {
+      c.fillStyle = state.compare ? this.colours.tracker(index) : this.colours.error;
+      for (const [frame] of this.data.trackers[index]?.switches ?? []) {
+        const x = this.x(frame);
+        c.beginPath();
+        c.moveTo(x, y - 4);
+        c.lineTo(x + 4, y);
+        c.lineTo(x, y + 4);
+        c.lineTo(x - 4, y);
+        c.fill();
+      }
+      y -= 9;
+    }
   }
 
   components(row, box, state) {

@@ -1,6 +1,7 @@
 // The road from above: one drawing of one frame with one tracker's report.
 
 const TRAIL_SECONDS = 3;
+const SWITCH_SECONDS = 1;
 
 class Camera {
   constructor() {
@@ -58,6 +59,7 @@ class Scene {
       if (on("velocity")) for (const row of rows) this.arrow(tracker, row, paint(row));
       if (on("errors")) this.errors(tracker, frame);
       if (on("tracks")) this.trackLabels(tracker, rows, paint);
+      if (on("errors")) this.switches(tracker, frame);
     }
     if (state.region) this.region(state.region, tracker, frame, colour);
     if (state.hover?.view === trackerIndex) this.outline(state.hover);
@@ -349,6 +351,19 @@ class Scene {
       c.stroke();
     }
     c.restore();
+  }
+
+  // For a second after an object changed its track id: the old and the new one.
+  switches(tracker, frame) {
+    const { truth, times } = this.data;
+    for (const [at, object, old, now] of tracker.switches) {
+      if (at > frame || times[frame] - times[at] > SWITCH_SECONDS) continue;
+      const row = truth.at[frame].find((r) => truth.ids[truth.object[r]] === object);
+      if (row === undefined) continue;
+      const [x, y] = this.camera.toScreen(truth.x[row], truth.y[row]);
+      const rise = (Math.hypot(truth.length[row], truth.width[row]) / 2) * this.camera.scale + 16;
+      this.text(`${old} → ${now}`, x, y - rise, this.colours.error, 12, "center", 650);
+    }
   }
 
   intensity(mixture, frame) {

@@ -1,0 +1,90 @@
+"""`pmbm picture`: one frame of a trial, or its error over time, as SVG or PNG for a document."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from reports.values import Replay
+
+KINDS = ("scene", "hidden", "errors")
+
+
+@click.command()
+@click.argument("scenario", metavar="NAME|FILE.toml")
+@click.option(
+    "--kind",
+    type=click.Choice(KINDS),
+    default="scene",
+    show_default=True,
+    help="The frame from above; where undetected objects are expected; or GOSPA in its parts.",
+)
+@click.option(
+    "--tracker",
+    "trackers",
+    multiple=True,
+    default=("pmbm",),
+    show_default=True,
+    metavar="NAME|MODULE:FACTORY",
+    help="A tracker to draw; give it several times for several panels.",
+)
+@click.option(
+    "--frame", type=click.IntRange(min=0), help="[default: the one with the most hidden objects]"
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--level", type=float, help="A level of the swept parameter.  [default: the file's]")
+@click.option("--dark", is_flag=True, help="For a dark page.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="FILE.svg or FILE.png.  [default: reports/NAME-KIND.png]",
+)
+def command(
+    scenario: str,
+    kind: str,
+    trackers: tuple[str, ...],
+    frame: int | None,
+    seed: int,
+    level: float | None,
+    dark: bool,
+    out: Path | None,
+) -> None:
+    """Draw one trial for a README or a paper.
+
+    \b
+    Examples:
+      pmbm picture truck_occlusion --tracker pmbm --tracker argoverse --frame 120
+      pmbm picture occluded_birth --kind hidden --out docs/hidden.svg
+      pmbm picture crossing --kind errors --tracker pmbm --tracker waymo
+    """
+    from pmbm.errors import InputError
+    from reports.figures import save
+    from reports.replays import trial_replay
+    from sim import load_scenario
+
+    if out is not None and out.suffix.lower() not in (".svg", ".png"):
+        raise InputError("unknown format", field="--out", expected=".svg or .png", got=out.name)
+    source = load_scenario(scenario)
+    source = source if level is None else source.at(level)
+    replay, _ = trial_replay(source, {name: name for name in trackers}, seed, 0)
+    figure = _figure(kind, replay, frame, dark=dark)
+    out = out or Path("reports") / f"{source.name}-{kind}.png"
+    out.parent.mkdir(parents=True, exist_ok=True)
+    save(figure, out)
+    click.echo(f"{out}")
+
+
+def _figure(kind: str, replay: Replay, frame: int | None, *, dark: bool) -> Figure:
+    from reports.figures import error_picture, hidden_traffic_picture, scene_picture
+
+    recording, tracks = replay.recording, replay.tracks
+    if kind == "errors":
+        return error_picture(recording, tracks, dark=dark)
+    if kind == "hidden":
+        return hidden_traffic_picture(recording, next(iter(tracks.values())), frame, dark=dark)
+    return scene_picture(recording, tracks, frame, dark=dark)
