@@ -14,6 +14,7 @@ import click
 _COMMANDS = {
     "scenarios": "What ships, one line each; or one scenario in full.",
     "run": "One or a few trials of a scenario: a table and an HTML replay.",
+    "picture": "One frame of a trial, or its error over time, as SVG or PNG.",
     "study": "A Monte Carlo study that can be resumed; trials over processes or a cluster.",
     "digest": "One line that is equal where the results of two studies are equal.",
     "report": "A study as one HTML file: verdicts, curves, worst trials to replay.",
