@@ -283,6 +283,25 @@ def test_a_drawn_rectangle_counts_hidden_objects(plain):
     assert counted["there"] == 0
 
 
+def test_the_rectangle_is_drawn_with_the_mouse(plain):
+    from selenium.webdriver import ActionChains
+
+    plain.execute_script("player.choose(0); player.seek(30)")
+    click(plain, "[data-do=measure]")
+    canvas = plain.find_element("css selector", ".stage canvas")
+    before = pixels(plain)
+    x, y = plain.execute_script("return [player.camera.x, player.camera.y]")
+    ActionChains(plain).drag_and_drop_by_offset(canvas, 90, -40).perform()
+    settle(plain)
+    scale = plain.execute_script("return player.camera.scale")
+    region = plain.execute_script("return player.state.region")
+    # From the middle of the picture, up and to the right; the picture itself does not move.
+    assert region == pytest.approx([x, y, x + 90 / scale, y + 40 / scale], abs=1 / scale)
+    assert pixels(plain) != before
+    click(plain, "[data-do=measure]")
+    assert plain.execute_script("return player.state.region") is None
+
+
 def test_hostile_strings_stay_strings(browser, tmp_path):
     scene = recording(
         frames=12,

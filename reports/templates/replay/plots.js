@@ -24,7 +24,7 @@ class Plots {
         title: "objects",
         switches: true,
         lines: [
-          { name: "true, observable", values: scored, truth: true },
+          { name: "true", values: scored, truth: true },
           ...data.trackers.map((t, i) => ({ name: t.name, tracker: i, values: onFrames(data, t, t.steps.map((f) => t.at[f].length)) })),
         ],
         digits: 0,
@@ -38,7 +38,7 @@ class Plots {
       });
     }
     if (data.trackers.some((t) => COMPONENTS.every(([key]) => t.series[key]))) {
-      rows.push({ title: "where the error comes from, m²", components: true, digits: 1 });
+      rows.push({ title: "GOSPA² in parts, m²", components: true, digits: 1 });
     }
     return rows;
   }
@@ -184,6 +184,10 @@ class Plots {
     this.axis(box, top);
     const height = (box.bottom - box.top) / top;
     const width = Math.max(1, this.x(1) - this.x(0));
+    c.save();
+    c.beginPath();
+    c.rect(PLOT_MARGIN.left, 0, this.width - PLOT_MARGIN.left - PLOT_MARGIN.right, this.height);
+    c.clip();
     for (let f = 0; f < this.data.frames; f++) {
       let base = box.bottom;
       for (const part of parts) {
@@ -195,6 +199,7 @@ class Plots {
       const sum = parts.reduce((s, part) => s + (part.values[f] ?? 0), 0);
       if (sum > top) this.cut(this.x(f), box.top);
     }
+    c.restore();
     const entries = parts.map((p) => ({ name: p.name, value: p.values[state.frame] ?? null, colour: p.colour }));
     const title = this.data.trackers.length > 1 ? `${row.title}: ${tracker.name}` : row.title;
     this.heading({ ...row, title }, box, entries);
