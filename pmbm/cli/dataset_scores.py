@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -145,6 +145,8 @@ def _nuscenes(comparison: Comparison, _kind: str) -> Evaluation:
 
 def _kitti_devkit(comparison: Comparison, _kind: str) -> Evaluation:
     scene = make_scene(comparison.truth, comparison.tracks)
+    if comparison.confidence is not None:
+        scene = replace(scene, tracks=replace(scene.tracks, score=comparison.confidence))
     sequence = KittiScene(
         scene=scene,
         overlap=pair_overlap(scene),

@@ -177,6 +177,7 @@ class Comparison:
     truth_image (N,4), tracks_image (K,4) : left, top, right, bottom in the image, pixels, or None.
     hard (N,) or None : of the more difficult kind.
     sensor (F,3) or None : the sensor's place in the world.
+    confidence (K,) or None : the tracks' scores as written, where they are no probabilities.
     """
 
     truth: tuple[GroundTruth, ...]
@@ -186,6 +187,7 @@ class Comparison:
     tracks_image: FloatArray | None = None
     hard: BoolArray | None = None
     sensor: FloatArray | None = None
+    confidence: FloatArray | None = None
 
 
 def track_frames(

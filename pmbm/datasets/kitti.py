@@ -260,6 +260,7 @@ class Kitti:
             excused=_excused(results, labels),
             truth_image=truth.box,
             tracks_image=results.box,
+            confidence=results.score,
         )
 
     def _places(self, sequence: str) -> tuple[Calibration, tuple[Pose, ...] | None]:

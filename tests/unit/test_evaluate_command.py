@@ -127,6 +127,16 @@ def test_the_devkit_s_own_counting(folder, capsys):
     assert 0 < by["devkit"]["sAMOTA"] < 1
 
 
+def test_averages_over_recall_take_the_scores_as_written(folder, capsys):
+    """The surer track alone has MOTA 1/2, all that a recall up to 1/2 allows; with both it is 1."""
+    truth = [row(k, i, "Car", 20 * i) for k in range(200) for i in (0, 1)]
+    results = [row(k, 7 + i, "Car", 20 * i, score=12 - 9 * i) for k in range(200) for i in (0, 1)]
+    places = write(folder, truth, results)
+    scores = evaluate(capsys, *places, "--rule", "devkit", "--classes", "Car")["Car"]["all"]
+    assert scores["sAMOTA"] == pytest.approx(1.0)
+    assert scores["AMOTA"] == pytest.approx(0.75)
+
+
 def test_two_metres_are_too_far(folder, capsys):
     for away, missed in ((1.999, 0), (2.0, 1)):
         places = write(folder, [row(0, 1, "Car", 0)], [row(0, 7, "Car", away, score=1)])
