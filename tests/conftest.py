@@ -1,6 +1,7 @@
 """Settings that every test shares; helpers live beside the tests that use them."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -13,18 +14,16 @@ settings.load_profile("everyday")
 
 @pytest.fixture(scope="module", params=["reference", "compiled"])
 def assignment_kernel(request):
-    """Runs a module's tests once over each kernel of pmbm.assignment."""
-    from pmbm import assignment
-    from pmbm.assignment import reference
+    """Runs a module's tests once over what is compiled and once over its plain twins."""
+    from pmbm import compiled
 
-    chosen = assignment._kernel
+    chosen = compiled.native
     if request.param == "compiled":
-        kernel = pytest.importorskip("pmbm._native", reason="installed without a compiler")
+        compiled.native = pytest.importorskip("pmbm._native", reason="installed without a compiler")
     else:
-        kernel = reference
-    assignment._kernel = kernel
+        compiled.native = None
     yield request.param
-    assignment._kernel = chosen
+    compiled.native = chosen
 
 
 def pytest_addoption(parser):
@@ -71,6 +70,9 @@ class _Verification:
 
 
 def pytest_configure(config):
+    if hasattr(config, "cache"):
+        # Simulated scenes are kept between runs, away from the user's own.
+        os.environ.setdefault("PMBM_CACHE", str(config.cache.mkdir("scenes")))
     file = config.getoption("--verification")
     if file and not hasattr(config, "workerinput"):
         config.pluginmanager.register(_Verification(file))

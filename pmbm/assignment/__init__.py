@@ -11,14 +11,12 @@ it comes to that place.
 
 Two kernels do the work: a compiled one, `pmbm._native`, where the install could build it, and the
 plain one of `pmbm.assignment.reference`.  They take the same problems and give the same answers up
-to what is said above about equal costs.  PMBM_NO_NATIVE=1 in the environment chooses the plain one.
+to what is said above about equal costs.
 """
 
 from __future__ import annotations
 
-import importlib
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
@@ -27,6 +25,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmbm import compiled
 from pmbm.assignment import reference
 from pmbm.errors import InputError
 
@@ -98,7 +97,7 @@ def k_best_batch(costs: Sequence[ArrayLike], ks: Sequence[int]) -> list[Solution
     _check_costs(flat, matrices)
     rows, widths = np.array([matrix.shape for matrix in matrices], dtype=np.int32).T.copy()
     wanted = np.array([_checked_k(k, problem) for problem, k in enumerate(ks)], dtype=np.int64)
-    columns, totals, counts = _kernel.k_best(flat, rows, widths, wanted)
+    columns, totals, counts = _kernel().k_best(flat, rows, widths, wanted)
     solutions = []
     column, total = 0, 0
     for height, count in zip(rows.tolist(), counts.tolist(), strict=True):
@@ -153,7 +152,7 @@ def k_best_choices(
     their problem.
     """
     _check_options(row, column, cost, first_row, first_column)
-    count, total, way, option = _kernel.k_best_choices(
+    count, total, way, option = _kernel().k_best_choices(
         row, column, cost, first_row, first_column, ks, margin
     )
     return Choices(np.repeat(np.arange(len(ks)), count), total, way, option)
@@ -190,20 +189,11 @@ def _check_options(
 
 def kernel() -> Literal["compiled", "reference"]:
     """Which of the two kernels runs."""
-    return "reference" if _kernel is reference else "compiled"
+    return "reference" if compiled.native is None else "compiled"
 
 
-def _choose() -> ModuleType:
-    if os.environ.get("PMBM_NO_NATIVE", "").lower() in ("", "0", "false", "no", "off"):
-        try:
-            return importlib.import_module("pmbm._native")
-        except ModuleNotFoundError:
-            # Installed where no compiler was: what the reference is for.
-            pass
-    return reference
-
-
-_kernel: ModuleType = _choose()
+def _kernel() -> ModuleType:
+    return compiled.native or reference
 
 
 def _matrix(cost: ArrayLike, problem: int) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pmbm import compiled
 from pmbm.filter.density import Index
 from pmbm.filter.gaussian import Innovation
 from pmbm.types import FloatArray
@@ -27,6 +28,16 @@ def gate(
     z (M,2).  Gives rows (n,) of the Gaussians, ascending, rows (n,) of the measurements, and the
     whitened innovations (n,2), whose squared length is that distance.
     """
+    if compiled.native is not None:
+        row, column, y = compiled.native.gate(
+            np.ascontiguousarray(innovation.expected),
+            innovation.l11,
+            innovation.l21,
+            innovation.l22,
+            np.ascontiguousarray(z),
+            threshold,
+        )
+        return row, column, y.reshape(-1, 2)
     if len(innovation.expected) * len(z) <= _DENSE_BELOW:
         y0, y1 = innovation.whiten_all(z)
         row, column = np.nonzero(y0 * y0 + y1 * y1 < threshold)

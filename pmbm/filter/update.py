@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pmbm import compiled
 from pmbm.filter.association import Association
 from pmbm.filter.density import (
     BEFORE,
@@ -184,7 +185,13 @@ def _fused(
     pairs = association.undetected
     target = wanted[pairs.measurement]
     kept = np.flatnonzero(target >= 0)
-    if len(kept):
+    if len(kept) and compiled.native is not None:
+        W = gain(ppp.cov, pairs.innovation)
+        after = corrected_cov(ppp.cov, W, sensor.R, pairs.innovation)
+        compiled.native.fuse(
+            pairs.row, target, pairs.log_weight, pairs.y, ppp.mean, W, after, mean, cov
+        )
+    elif len(kept):
         kept = kept[np.argsort(target[kept], kind="stable")]
         component, target = pairs.row[kept], target[kept]
         innovation = pairs.innovation

@@ -11,11 +11,12 @@ ROOT = Path(__file__).parents[2]
 
 LAYERS = [
     {"pmbm.errors", "pmbm.labels", "pmbm.door", "pmbm.types", "pmbm.geometry", "pmbm.score"}
-    | {"pmbm.provenance"},
+    | {"pmbm.provenance", "pmbm.compiled"},
     {"pmbm.assignment", "pmbm.filter", "pmbm.baselines", "pmbm.metrics", "pmbm.datasets"},
     {"pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"},
     {"sim"},
     {"reports"},
+    {"pmbm.testing"},
     {"pmbm.cli", "pmbm.pytest_plugin"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}

@@ -1,0 +1,108 @@
+"""What is compiled in the filter against its plain twins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pmbm import Detections, PMBMConfig, PMBMTracker, Site, compiled
+from pmbm.filter.gating import gate
+from pmbm.filter.gaussian import Innovation
+
+native = pytest.importorskip("pmbm._native", reason="installed without a compiler")
+
+
+def on_both(monkeypatch, work):
+    """What `work()` gives with and without the compiled module."""
+    results = []
+    for module in (native, None):
+        monkeypatch.setattr(compiled, "native", module)
+        results.append(work())
+    return results
+
+
+def gaussians(random, n, spread, narrow):
+    """Innovations of n Gaussians, some of them as wide as the scene."""
+    mean = np.concatenate([random.uniform(-spread, spread, (n, 2)), np.zeros((n, 2))], axis=1)
+    root = (
+        random.normal(size=(n, 4, 4)) * np.where(np.arange(n) % narrow, 1.0, spread)[:, None, None]
+    )
+    return Innovation.of(mean, root @ root.transpose(0, 2, 1), 0.09 * np.eye(2))
+
+
+@pytest.mark.parametrize(
+    ("n", "m", "spread"),
+    [
+        (0, 5, 10),
+        (5, 0, 10),
+        (1, 1, 1),
+        (30, 40, 20),
+        (300, 400, 50),
+        (300, 400, 2),
+        (9, 2000, 500),
+    ],
+)
+def test_gates_to_the_bit(monkeypatch, n, m, spread):
+    random = np.random.default_rng([n, m, spread])
+    innovation = gaussians(random, n, spread, narrow=7)
+    z = random.uniform(-spread, spread, (m, 2))
+    fast, plain = on_both(monkeypatch, lambda: gate(innovation, z, 20.0))
+    if n and m > 1:
+        assert len(fast[0])
+    for one, other in zip(fast, plain, strict=True):
+        assert one.shape == other.shape
+        assert one.tolist() == other.tolist()
+
+
+@pytest.mark.parametrize(
+    "z",
+    [
+        np.zeros((6, 2)),
+        np.stack([np.linspace(-9, 9, 50), np.zeros(50)], axis=1),
+        np.stack([np.zeros(50), np.linspace(-9, 9, 50)], axis=1),
+        np.array([[1e9, 1e9], [0.1, 0.1], [-1e9, 3.0]]),
+    ],
+    ids=["one place", "along x", "along y", "far apart"],
+)
+def test_gates_where_measurements_lie_oddly(monkeypatch, z):
+    innovation = gaussians(np.random.default_rng(1), 40, 5, narrow=3)
+    fast, plain = on_both(monkeypatch, lambda: gate(innovation, z, 9.0))
+    assert len(fast[0])
+    for one, other in zip(fast, plain, strict=True):
+        assert one.tolist() == other.tolist()
+
+
+def frames(seed, count=40, objects=25):
+    """Objects that cross each other in clutter, some of them unseen for a while."""
+    random = np.random.default_rng(seed)
+    position, velocity = random.uniform(-30, 30, (objects, 2)), random.normal(0, 6, (objects, 2))
+    for frame in range(count):
+        here = position + 0.1 * frame * velocity
+        seen = here[random.random(objects) < 0.8]
+        clutter = random.uniform(-50, 50, (random.poisson(8), 2))
+        z = np.concatenate([seen + random.normal(0, 0.3, seen.shape), clutter])
+        n = len(z)
+        yield Detections(
+            time=0.1 * frame,
+            position=np.column_stack([z, np.zeros(n)]),
+            size=np.ones((n, 3)),
+            yaw=np.zeros(n),
+            score=np.full(n, 0.5),
+            label=np.zeros(n, np.int8),
+        )
+
+
+@pytest.mark.parametrize("config", [PMBMConfig(), PMBMConfig.paper(), PMBMConfig.textbook()])
+def test_the_tracker_says_the_same(monkeypatch, config):
+    def work():
+        tracker = PMBMTracker(config, Site(max_range=80.0))
+        return [tracker.step(frame) for frame in frames(seed=1)]
+
+    fast, plain = on_both(monkeypatch, work)
+    assert max(len(tracks) for tracks in fast) > 15
+    for one, other in zip(fast, plain, strict=True):
+        assert one.id.tolist() == other.id.tolist()
+        for name in ("position", "velocity", "score", "covariance"):
+            np.testing.assert_allclose(
+                getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-9
+            )
