@@ -64,9 +64,11 @@ def test_wrong_verdicts_are_rare(name, promise, world):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "promise", "world"), PROMISES, ids=NAMES)
-def test_wrong_verdicts_are_rare_over_2000_studies(name, promise, world):
+def test_wrong_verdicts_are_rare_over_2000_studies(name, promise, world, verified):
     count, studies = promise(world, LONG, seed=2)
-    print(f"{name}: {count} of {studies} wrong at margin {world.margin:.4f}")
+    low = binomtest(count, studies).proportion_ci(0.99, method="exact").low
+    what = f"wrong verdicts of {studies} simulated studies, margin {world.margin:.3f} of the range"
+    verified(name, what, count / studies, f"99 % lower bound <= {ALPHA}", bool(low <= ALPHA))
     not_above_alpha(count, studies)
 
 
