@@ -78,6 +78,9 @@ _OURS = frozenset(
 )
 """Keys of an environment's configuration that the recorder itself sets or stands on."""
 
+_NOT_COUNTS = frozenset({"duration", "ego_spacing", "vehicles_density"})
+"""Settings whose default happens to be a whole number, and which need not be one."""
+
 
 def check_environment(env_id: str, config: Mapping[str, Any]) -> None:
     """Raise InputError where the id cannot be recorded, or where the configuration has a key that
@@ -109,7 +112,7 @@ def check_environment(env_id: str, config: Mapping[str, Any]) -> None:
             if number
             else default is None or isinstance(value, type(default))
         )
-        if isinstance(default, int) and number and not isinstance(value, int):
+        if isinstance(default, int) and isinstance(value, float) and key not in _NOT_COUNTS:
             fits = False
         if not fits:
             raise InputError(

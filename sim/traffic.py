@@ -18,6 +18,7 @@ from pmbm.geometry import wrap_angle
 from pmbm.types import FloatArray
 from sim import highway
 from sim.actors import as_car, label_of, vehicle_class
+from sim.fast_road import adopt
 from sim.highway import AbstractLane, CircularLane, StraightLane, Vehicle
 from sim.schema import Actor, Driver, GymnasiumScene, NetworkEntry, RoadEntry, RoadScene
 from sim.schema import Road as RoadForm
@@ -180,7 +181,7 @@ def open_gymnasium(form: GymnasiumScene, rate: int, streams: Streams) -> Traffic
     ego = as_car(env.vehicle)
     env.road.vehicles[env.road.vehicles.index(env.vehicle)] = ego
     env.controlled_vehicles = [ego]
-    traffic = Traffic(road=env.road, ego=ego, rate=rate)
+    traffic = Traffic(road=adopt(env.road), ego=ego, rate=rate)
     if intersection:
         traffic.hooks.append(_intersection_clock(env, traffic))
     for number, (name, entry) in enumerate(form.entries.items(), start=1):
@@ -250,7 +251,7 @@ def open_roads(form: RoadScene, rate: int, streams: Streams) -> Traffic:
         np_random=streams.generator(Purpose.TRAFFIC),
         neighbour_vehicles_connected_lanes=True,
     )
-    traffic = Traffic(road=road, ego=None, rate=rate)
+    traffic = Traffic(road=adopt(road), ego=None, rate=rate)
     if form.ego is not None:
         _check_place("ego", form.ego, form.roads)
         traffic.ego = _place(form.ego, roads, road, own_stream(streams, "ego").random(3))

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from sim import actors, highway, schema, traffic
+from sim import schema, traffic
 from sim.streams import Streams
 
 RATE = 15
@@ -102,22 +102,13 @@ def cache_row(seeds: range, configurations: int = 10) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def stock() -> Iterator[None]:
-    """Within it, traffic is made of stock roads and stock drivers with the same parameters."""
-    ours = {"Car": actors.Car, "Cruiser": actors.Cruiser}
-    bases = {"Car": highway.IDMVehicle, "Cruiser": highway.ControlledVehicle}
+    """Within it, traffic is driven by stock roads."""
     adopt = traffic.adopt
-    for name, kind in ours.items():
-        members = {key: getattr(kind, key) for key in dir(kind) if key.isupper()}
-        setattr(actors, name, type(name, (bases[name],), {**members, "label": kind.label}))
     traffic.adopt = lambda road: road
-    actors.vehicle_class.cache_clear()
     try:
         yield
     finally:
-        for name, kind in ours.items():
-            setattr(actors, name, kind)
         traffic.adopt = adopt
-        actors.vehicle_class.cache_clear()
 
 
 def _timed(cars: int, seed: int, ticks: int) -> tuple[float, list[Any]]:

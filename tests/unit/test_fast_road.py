@@ -1,0 +1,235 @@
+"""Our roads and drivers against stock highway-env: every bit, every step, in one process."""
+
+import contextlib
+
+import numpy as np
+import pytest
+
+from sim import actors, fast_road, highway, schema, traffic
+from sim.scenario import load_scenario
+from sim.streams import Streams
+
+PARAMETERS = [name for name in vars(actors.Car) if name.isupper()]
+
+
+@contextlib.contextmanager
+def stock():
+    """Within it, traffic is driven by stock roads."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(traffic, "adopt", lambda road: road)
+        yield
+
+
+def state(road):
+    """All that a vehicle's future depends on."""
+    return [
+        (
+            vehicle.position.tobytes(),
+            float(vehicle.heading).hex(),
+            float(vehicle.speed).hex(),
+            float(vehicle.action["steering"]).hex(),
+            float(vehicle.action["acceleration"]).hex(),
+            tuple(vehicle.lane_index),
+            tuple(vehicle.target_lane_index),
+            float(vehicle.target_speed).hex(),
+            float(getattr(vehicle, "timer", 0.0)).hex(),
+            bool(vehicle.crashed),
+            None if vehicle.impact is None else np.asarray(vehicle.impact).tobytes(),
+        )
+        for vehicle in road.vehicles
+    ]
+
+
+def history(form, seed, ticks):
+    opened = (
+        traffic.open_gymnasium if isinstance(form, schema.GymnasiumScene) else traffic.open_roads
+    )(form, 20, Streams(seed))
+    states = []
+    for tick in range(ticks):
+        if tick:
+            opened.step()
+        for hook in opened.hooks:
+            hook(tick)
+        states.append(state(opened.road))
+    return states, opened.road
+
+
+def assert_equal(form, seed, ticks):
+    with stock():
+        expected, stock_road = history(form, seed, ticks)
+        assert type(stock_road) in (highway.Road, highway.RegulatedRoad)
+    found, fast = history(form, seed, ticks)
+    assert isinstance(fast, fast_road.FastRoad)
+    assert fast._all_known()
+    for tick, (one, other) in enumerate(zip(expected, found, strict=True)):
+        assert one == other, f"tick {tick}"
+    return expected
+
+
+def gymnasium(env_id, **config):
+    return schema.GymnasiumScene(kind="gymnasium", id=env_id, config=config)
+
+
+def road(**scene):
+    base = {
+        "kind": "road",
+        "roads": {"main": {"start": [0.0, 0.0], "end": [3000.0, 0.0], "lanes": 4}},
+        "crashes": "allowed",
+    }
+    return schema.RoadScene.model_validate({**base, **scene})
+
+
+def crashes(states):
+    return sum(vehicle[9] for vehicle in states[-1])
+
+
+@pytest.mark.parametrize("env_id", highway.ENVIRONMENTS)
+def test_registered_scenes(env_id):
+    small = {"vehicles_count": 12} if env_id in ("highway-v0", "exit-v1") else {}
+    assert_equal(gymnasium(env_id, **small), seed=3, ticks=70)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", highway.ENVIRONMENTS)
+@pytest.mark.parametrize("seed", range(3))
+def test_registered_scenes_for_long(env_id, seed):
+    small = {"vehicles_count": 20} if env_id in ("highway-v0", "exit-v1") else {}
+    assert_equal(gymnasium(env_id, **small), seed, ticks=400)
+
+
+@pytest.mark.parametrize("name", ["street", "crossing", "truck_occlusion", "ego_motion", "cut_in"])
+def test_our_own_roads(name):
+    assert_equal(load_scenario(name).form.scene, seed=1, ticks=60)
+
+
+def test_ties_in_place_and_distance():
+    """Cars abreast to the bit, on lanes and between them, so that every search has equals."""
+    rows = {
+        f"row{lane}": {"road": "main", "lane": lane, "position": 400.0, "speed": 20.0, "count": 5,
+                       "spacing": -25.0, "lane_changes": True}
+        for lane in range(4)
+    }  # fmt: skip
+    doubles = {
+        f"double{lane}": {"road": "main", "lane": lane, "position": 375.0, "speed": 20.0}
+        for lane in (1, 2)
+    }
+    states = assert_equal(road(actors={**rows, **doubles}), seed=0, ticks=80)
+    places = [vehicle[0] for vehicle in states[0]]
+    assert len(set(places)) < len(places)
+
+
+def test_lane_changes():
+    slow = {
+        "road": "main",
+        "lane": 1,
+        "position": 260.0,
+        "speed": 6.0,
+        "count": 3,
+        "spacing": -60.0,
+    }
+    fast = {"road": "main", "lane": 1, "position": 230.0, "speed": 22.0, "count": 8,
+            "spacing": -24.0, "lane_changes": True,
+            "jitter": {"position": 5.0, "speed": 3.0}}  # fmt: skip
+    states = assert_equal(road(actors={"slow": slow, "fast": fast}), seed=2, ticks=160)
+    lanes = [{vehicle[5] for vehicle in tick} for tick in states]
+    assert len(set.union(*lanes)) >= 3
+
+
+def test_pile_ups():
+    """Impacts overwrite each other, so that even the order of the pairs shows."""
+    wall = {"road": "main", "lane": 1, "position": 240.0, "speed": 0.5, "count": 3, "spacing": -5.2}
+    ram = {"road": "main", "lane": 1, "position": 205.0, "speed": 24.0, "driver": "cruise",
+           "count": 6, "spacing": -7.0, "jitter": {"position": 1.0, "speed": 3.0}}  # fmt: skip
+    swerve = {"road": "main", "lane": 2, "position": 220.0, "speed": 16.0, "driver": "cruise",
+              "count": 5, "spacing": -6.0, "commands": [{"time": 0.5, "lane": 1}]}  # fmt: skip
+    truck = {"road": "main", "lane": 0, "position": 214.0, "speed": 18.0, "driver": "cruise",
+             "label": "truck", "commands": [{"time": 0.3, "lane": 1}]}  # fmt: skip
+    scene = road(actors={"wall": wall, "ram": ram, "swerve": swerve, "truck": truck})
+    for seed in range(3):
+        assert crashes(assert_equal(scene, seed, ticks=100)) >= 6
+
+
+def test_obstacles(monkeypatch):
+    """Things that stand on the road, between lanes and off it, and landmarks that nobody sees."""
+    cars = {"road": "main", "lane": 1, "position": 200.0, "speed": 20.0, "count": 6,
+            "spacing": -22.0, "lane_changes": True}  # fmt: skip
+    blind = {"road": "main", "lane": 2, "position": 190.0, "speed": 20.0, "driver": "cruise"}
+    plain = traffic.open_roads
+
+    def with_obstacles(form, rate, streams):
+        opened = plain(form, rate, streams)
+        for kind, place in (
+            (highway.Obstacle, (260.0, 4.0)),
+            (highway.Landmark, (245.0, 4.0)),
+            (highway.Obstacle, (270.0, 6.0)),
+            (highway.Obstacle, (270.0, 8.0)),
+            (highway.Obstacle, (270.0, 40.0)),
+        ):
+            opened.road.objects.append(kind(opened.road, place))
+        return opened
+
+    monkeypatch.setattr(traffic, "open_roads", with_obstacles)
+    states = assert_equal(road(actors={"cars": cars, "blind": blind}), seed=1, ticks=160)
+    assert crashes(states) >= 1
+
+
+def dense(cars):
+    lanes = {
+        f"lane{lane}": {"road": "main", "lane": lane, "position": 1800.0 + 3 * lane,
+                        "speed": 24.0 - lane, "count": cars // 4, "spacing": -16.0,
+                        "lane_changes": True, "jitter": {"position": 4.0, "speed": 3.0}}
+        for lane in range(4)
+    }  # fmt: skip
+    return road(actors=lanes)
+
+
+def test_two_hundred_cars():
+    assert_equal(dense(200), seed=0, ticks=8)
+
+
+@pytest.mark.slow
+def test_two_hundred_cars_for_long():
+    assert_equal(dense(200), seed=1, ticks=120)
+
+
+def test_a_vehicle_that_others_move_is_looked_up_again():
+    """What is known of a place is forgotten when the place changes outside `step`."""
+    scene = dense(12)
+
+    def moved(opened):
+        states = []
+        for tick in range(30):
+            opened.step()
+            if tick == 10:
+                opened.road.vehicles[3].position = np.add(
+                    opened.road.vehicles[3].position, (9.0, 0.5)
+                )
+                opened.road.vehicles[4].position[0] += 6.0
+                opened.road.vehicles[5].heading += 0.05
+                opened.road.vehicles[6].speed *= 0.7
+            states.append(state(opened.road))
+        return states
+
+    def opened():
+        made = traffic.open_roads(scene, 20, Streams(0))
+        for hook in made.hooks:
+            hook(0)
+        return made
+
+    with stock():
+        expected = moved(opened())
+    assert moved(opened()) == expected
+
+
+def test_other_classes_of_road_stay_as_they_are():
+    class OwnRoad(highway.Road):
+        pass
+
+    network = highway.RoadNetwork.straight_road_network(1)
+    own = OwnRoad(network, np_random=np.random.default_rng(0))
+    assert type(fast_road.adopt(own)) is OwnRoad
+
+
+def test_the_pinned_parameters_are_all_there():
+    names = {name for name in vars(highway.IDMVehicle) if name.isupper()}
+    assert names <= set(PARAMETERS)
