@@ -204,10 +204,7 @@ def test_an_update_is_bayes_rule_over_all_associations(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("kernel", ["pmbm.assignment.reference", "pmbm._native"])
-def test_the_best_children_are_the_best_of_all(seed, kernel, monkeypatch):
-    module = pytest.importorskip(kernel, reason="installed without a compiler")
-    monkeypatch.setattr("pmbm.assignment._kernel", module)
+def test_the_best_children_are_the_best_of_all(seed, assignment_kernel):
     ppp, tracks, hypotheses, z = random_problem(seed, parents=1)
     expected = enumerate_all(ppp, tracks, hypotheses, z, SENSOR)
     prior = density(ppp, tracks, hypotheses)
