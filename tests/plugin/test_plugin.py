@@ -1,5 +1,6 @@
 """The pytest plugin, as pytest's own tool for testing plugins sees it."""
 
+import importlib
 import json
 import re
 import sys
@@ -8,10 +9,12 @@ from pathlib import Path
 
 import pytest
 
-# Runs in this process forget what they imported, and numpy cannot be imported twice.
-import sim.detector
-import sim.scenario  # noqa: F401
 from pmbm.errors import InputError
+from pmbm.testing import outcome_of
+
+# Runs in this process forget what they imported, and numpy cannot be imported twice.
+for name in ("pmbm.regression", "pmbm.testing", "reports.replays", "sim.detector", "sim.scenario"):
+    importlib.import_module(name)
 
 pytest_plugins = ["pytester"]
 
@@ -233,8 +236,8 @@ def test_a_folder_called_sim_is_named(monkeypatch, tmp_path):
     theirs = types.ModuleType("sim")
     theirs.__path__ = [str(tmp_path / "sim")]
     monkeypatch.setitem(sys.modules, "sim", theirs)
-    with pytest.raises(InputError, match="hides the package of that name.*rename it"):
-        pmbm.testing.outcome_of("crossing", "pmbm", tracker_name="pmbm", folder=tmp_path, trials=1)
+    with pytest.raises(InputError, match=r"hides the package of that name.*rename it"):
+        outcome_of("crossing", "pmbm", tracker_name="pmbm", folder=tmp_path, trials=1)
 
 
 GATE = """
