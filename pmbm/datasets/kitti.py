@@ -80,11 +80,13 @@ _VISIBILITY: Final[Mapping[int, float]] = {-1: 1.0, 0: 1.0, 1: 0.75, 2: 0.25, 3:
 _SMALLEST_PIXELS: Final = 25.0
 _MAX_RANGE: Final = 80.0
 _CONFIDENCE: Final[Mapping[str, tuple[float, float]]] = {
-    "Car": (1.0, 0.0),
-    "Pedestrian": (1.0, 0.0),
-    "Cyclist": (1.0, 0.0),
+    "Car": (0.81, -2.85),
+    "Pedestrian": (1.32, -4.11),
+    "Cyclist": (0.75, -3.23),
 }
-"""Slope and offset of the logistic that turns a PointRCNN logit into a probability."""
+"""Slope and offset of the logistic that turns a PointRCNN logit into the probability that the box is
+true: fitted to the origins (3D IoU of at least .25) of the detections in the training sequences
+0000, 0002-0005, 0007, 0009, 0011 and 0017."""
 
 
 @dataclass(frozen=True, kw_only=True)

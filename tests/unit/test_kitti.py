@@ -51,7 +51,7 @@ def test_the_sample_in_the_world(folder):
     np.testing.assert_allclose(made.truth[1].yaw, [1.55])
     np.testing.assert_allclose(made.detections[1].sensor_pose, [5.0, 0.0, math.pi / 2])
     np.testing.assert_allclose(made.detections[0].raw_score, [9.8])
-    assert 0.999 < made.detections[0].score[0] < 1.0
+    assert 0.99 < made.detections[0].score[0] < 1.0
     np.testing.assert_allclose([f.time for f in made.truth], [0.0, 0.1, 0.2])
     assert made.origin is None
     assert made.object_name == {0: "0"}
