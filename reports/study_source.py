@@ -31,11 +31,17 @@ class _Candidate:
 
 
 def stored_report(
-    store: Path, resolve: Resolve, *, worst: int = 3, reference: str | None = None
+    store: Path,
+    resolve: Resolve,
+    *,
+    study: Path | None = None,
+    worst: int = 3,
+    reference: str | None = None,
 ) -> StudyReport:
     """What a store holds, as a report shows it; also while the study still runs.
 
     resolve : turns the names of scenarios, with their swept values, into Sources.
+    study : the study's file; by default of the store's name, beside it.
     worst : how many of the worst trials to play again.
     reference : the tracker that the others are compared with; by default the first.
 
@@ -49,8 +55,9 @@ def stored_report(
             field="reference",
             expected=f"one of {', '.join(results.trackers)}",
         )
-    file = str(store.with_suffix(".toml"))
-    sources = _Sources(results, resolve, store.parent)
+    study = study or store.with_suffix(".toml")
+    file = str(study)
+    sources = _Sources(results, resolve, study.parent)
     report = StudyReport(
         name=results.name,
         cells=[

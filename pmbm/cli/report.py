@@ -10,6 +10,12 @@ import click
 @click.command()
 @click.argument("store", type=click.Path(path_type=Path, dir_okay=False), metavar="STORE.sqlite")
 @click.option(
+    "--study",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.toml",
+    help="The study's file, beside which its scenarios' files are.  [default: STORE.toml]",
+)
+@click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("reports"),
@@ -30,7 +36,12 @@ import click
     help="The tracker that the others are compared with.  [default: the study's first]",
 )
 def command(
-    store: Path, out: Path, markdown: str | None, worst: int, reference: str | None
+    store: Path,
+    study: Path | None,
+    out: Path,
+    markdown: str | None,
+    worst: int,
+    reference: str | None,
 ) -> None:
     """Write a study's results as one page that opens from disk; also while the study runs.
 
@@ -43,7 +54,7 @@ def command(
     from reports.study_report import study_markdown, study_page
     from reports.study_source import stored_report
 
-    report = stored_report(store, resolve, worst=worst, reference=reference)
+    report = stored_report(store, resolve, study=study, worst=worst, reference=reference)
     out.mkdir(parents=True, exist_ok=True)
     page = out / f"{store.stem}.html"
     page.write_text(study_page(report), encoding="utf-8")

@@ -8,6 +8,7 @@ from traffic import recording
 
 from pmbm.errors import InputError
 from pmbm.study import Cell, ConfiguredTracker, Study, load_results, run_study
+from pmbm.study.store import open_store
 from reports.study_report import study_markdown, study_page
 from reports.study_source import stored_report, worst_trials
 
@@ -95,6 +96,29 @@ def test_scenarios_that_are_gone_leave_the_figures(stored):
     assert report.done == 5
     assert "cannot be played again" in report.worst[0].why
     assert report.cells[0].stresses == ""
+
+
+def test_a_report_may_be_read_while_the_study_runs(stored):
+    with open_store(stored, study(HandMade(), HandMade(frames=16, fails_at=1))) as driver:
+        driver.start([5])
+        assert stored_report(stored, resolve, worst=0).done == 5
+        driver.land()
+
+
+def test_scenario_files_are_found_beside_the_study_file(tmp_path):
+    store = tmp_path / "elsewhere" / "night.sqlite"
+    store.parent.mkdir()
+    run_study(study(HandMade(name="own.toml"), trials=1), store)
+    asked = []
+
+    def remember(name, point):
+        asked.append(name)
+        return resolve(name, point)
+
+    file = tmp_path / "studies" / "n.toml"
+    report = stored_report(store, remember, study=file, worst=1)
+    assert set(asked) == {str(tmp_path / "studies" / "own.toml")}
+    assert str(file) in report.worst[0].command
 
 
 def test_the_reference_can_be_chosen(stored):
