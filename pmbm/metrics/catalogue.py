@@ -10,7 +10,7 @@ import numpy as np
 
 from pmbm.errors import InputError, nearest_hint
 from pmbm.metrics.consistency import chi2_bounds
-from pmbm.metrics.result import OBSERVABLE, Counts, Definition, Samples, Undefined
+from pmbm.metrics.result import OBSERVABLE, Counts, Definition, Undefined
 
 Formula = Callable[[Counts], float | Undefined]
 Parts = Callable[[Counts], Mapping[str, float]]
@@ -86,7 +86,12 @@ def total(name: str) -> Formula:
 
 
 def means(bottom: str, *names: str) -> Parts:
-    return lambda counts: {name: float(counts[name] / counts[bottom]) for name in names}
+    """Further sums, each over counts[bottom]."""
+
+    def parts(counts: Counts) -> Mapping[str, float]:
+        return {name: float(counts[name] / counts[bottom]) for name in names if counts[bottom]}
+
+    return parts
 
 
 def median(name: str, none: str) -> Formula:
@@ -109,13 +114,11 @@ def described(name: str, *totals: str) -> Parts:
     """Mean, median and number of samples, and further totals."""
 
     def parts(counts: Counts) -> Mapping[str, float]:
-        samples: Samples = counts[name]
-        return {
-            "mean": float(samples.values.mean()),
-            "median": float(np.median(samples.values)),
-            "n": len(samples.values),
-            **{key: float(counts[key]) for key in totals},
-        }
+        values = counts[name].values
+        numbers = {"n": float(len(values)), **{key: float(counts[key]) for key in totals}}
+        if len(values):
+            numbers |= {"mean": float(values.mean()), "median": float(np.median(values))}
+        return numbers
 
     return parts
 
@@ -170,12 +173,20 @@ def hota_curve(counts: Counts) -> np.ndarray:
     return np.sqrt(deta_curve(counts) * assa_curve(counts))
 
 
+def _speed_parts(counts: Counts) -> Mapping[str, float]:
+    if not counts["matches"]:
+        return {}
+    return {"root_mean_square": float(np.sqrt(counts["velocity_square"] / counts["matches"]))}
+
+
 def _kept_share(counts: Counts) -> float | Undefined:
     occlusions = counts["kept"] + counts["lost"]
     return counts["kept"] / occlusions if occlusions else Undefined("no tracked object was hidden")
 
 
 def _nees_parts(counts: Counts) -> Mapping[str, float]:
+    if not counts["estimates"]:
+        return {}
     low, high = chi2_bounds(STATE_DIMENSION, counts["estimates"])
     return {"n": float(counts["estimates"]), "low": low, "high": high}
 
@@ -326,9 +337,7 @@ _DEFINITIONS: Final = (
         name="velocity_error", group="motion", unit="m/s", direction="lower",
         answers="How wrong is the velocity of matched objects?",
         formula=ratio("velocity_error", "matches", _NO_MATCH),
-        parts=lambda counts: {
-            "root_mean_square": float(np.sqrt(counts["velocity_square"] / counts["matches"]))
-        },
+        parts=_speed_parts,
     ),
     Definition(
         name="yaw_error", group="motion", unit="rad", direction="lower",

@@ -68,7 +68,7 @@ class Definition:
     answers : the question it answers, in a few words.
     group : metrics of one group are counted together.
     formula : counts (and the parameters, by name) -> value.
-    parts : the same -> further numbers worth showing beside the value.
+    parts : the same -> further numbers worth showing beside the value, defined or not.
     series : name of the group's per-frame series, or None.
     default : whether `evaluate` gives it unasked.
     """
@@ -105,7 +105,7 @@ class Definition:
             direction=self.direction,
             scope=scope,
             parameters=parameters,
-            components={} if undefined or self.parts is None else self.parts(known),
+            components={} if self.parts is None else self.parts(known),
             series=series,
             counts=counts,
             definition=self,

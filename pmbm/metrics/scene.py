@@ -191,9 +191,13 @@ def _ranges(first: IntArray, beyond: IntArray) -> tuple[IntArray, IntArray]:
 def pair_overlap(scene: Scene, *, vertical: bool = True) -> FloatArray:
     """Intersection over union of the scene's pairs (Q,): of rotated boxes' volumes, or with
     `vertical=False` of their bird's-eye areas."""
-    truth, tracks = scene.truth, scene.tracks
-    a, b = scene.pairs.truth, scene.pairs.track
-    return paired_iou(
+    truth, tracks, pairs = scene.truth, scene.tracks, scene.pairs
+    overlap = np.zeros(len(pairs))
+    reach = np.hypot(truth.size[:, 0], truth.size[:, 1])[pairs.truth]
+    reach += np.hypot(tracks.size[:, 0], tracks.size[:, 1])[pairs.track]
+    near = np.flatnonzero(pairs.distance < reach / 2)
+    a, b = pairs.truth[near], pairs.track[near]
+    overlap[near] = paired_iou(
         truth.position[a],
         truth.size[a],
         truth.yaw[a],
@@ -202,6 +206,7 @@ def pair_overlap(scene: Scene, *, vertical: bool = True) -> FloatArray:
         tracks.yaw[b],
         vertical=vertical,
     )
+    return overlap
 
 
 def pair_rows(truth_frame: IntArray, tracks_per_frame: IntArray) -> tuple[IntArray, IntArray]:

@@ -6,7 +6,7 @@ MOTA is reported, at two levels of difficulty and by range.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -265,10 +265,3 @@ def _counts_of(rows: Sequence[tuple[float, ...]]) -> WaymoCounts:
         matches=matches.astype(np.int64),
         truths=truths.astype(np.int64),
     )
-
-
-def waymo_shards(sequence: WaymoScene) -> Iterator[tuple[str, WaymoScene]]:
-    """The sequence whole (named "") and by range."""
-    yield "", sequence
-    for name, (low, high) in RANGES.items():
-        yield name, sequence.within(low, high)

@@ -211,9 +211,16 @@ def test_matchings_against_enumeration(graph):
     )
 
 
-@given(run=runs(), reach=st.sampled_from([0.5, 1.0, 2.0, 5.0, 30.0]))
-def test_near_pairs_are_the_near_ones_of_all_pairs(run, reach):
-    truth, tracks, _ = run
+@given(
+    run=runs(),
+    reach=st.sampled_from([0.5, 1.0, 2.0, 5.0, 30.0]),
+    origin=st.sampled_from([(0, 0), (-1e6, 300), (4e5, 5.6e6)]),
+)
+def test_near_pairs_are_the_near_ones_of_all_pairs(run, reach, origin):
+    truth, tracks = (
+        [{name: (x + origin[0], y + origin[1]) for name, (x, y) in frame.items()} for frame in side]
+        for side in run[:2]
+    )
     every = scene(truth, tracks).pairs
     expected = every.take(every.distance < reach)
     made = scene(truth, tracks)

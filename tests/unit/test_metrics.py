@@ -234,6 +234,19 @@ class TestTestbedMeasures:
         # One frame less is no occlusion.
         assert values(truth, tracks, hidden={k: [CAR] for k in range(2, 6)})["id_kept"] is None
 
+    def test_what_never_happened_is_counted(self):
+        recording, reports = run_of([{CAR: (0, 0)}] * 2, [{}] * 2)
+        delay = evaluate(recording, reports)["initiation_delay"]
+        assert delay.value is None
+        assert delay.components == {"n": 0, "never_initiated": 1}
+
+    def test_existence_is_calibrated_where_as_many_are_real_as_the_score_says(self):
+        recording, reports = run_of([{CAR: (0, 0)}] * 4, [{7: (0, 0)}] + [{7: (9, 9)}] * 3)
+        sure = evaluate(recording, reports, ["existence_brier", "existence_calibration_error"])
+        # Scores of 0.9, of which one in four is real.
+        assert sure["existence_brier"].value == pytest.approx((0.1**2 + 3 * 0.9**2) / 4)
+        assert sure["existence_calibration_error"].value == pytest.approx(0.9 - 0.25)
+
     def test_cardinality_error(self):
         scores = values([{CAR: (0, 0)}] * 2, [{}, {7: (0, 0), 8: (9, 9), 9: (20, 0)}])
         assert scores["cardinality_error"] == pytest.approx(0.5)
