@@ -23,7 +23,7 @@ from pmbm.baselines.box_filter import (
 )
 from pmbm.baselines.lifecycle import BoxTracker, Lifecycle
 from pmbm.door import Door
-from pmbm.errors import InputError
+from pmbm.errors import InputError, nearest_hint
 from pmbm.geometry import wrap_angle
 from pmbm.types import CLUTTER, Detections, FloatArray, Label, Recording, Tracks
 
@@ -71,7 +71,8 @@ class ProbabilisticKFConfig:
     min_hits : detections in all before a track is reported.
     max_age : frames without a detection after which a track ends.
     frame_rate : frames per second in which ages and velocities are counted, Hz.
-    noise : variances by label, with eleven states; labels left out have round numbers.
+    noise : variances by label, with eleven states; labels left out have round numbers.  As a file
+        has it, too: tables of `initial`, `process` and `measurement` by the label's name.
     """
 
     mahalanobis_gate: float = 11.0
@@ -79,7 +80,7 @@ class ProbabilisticKFConfig:
     min_hits: int = 3
     max_age: float = 2.0
     frame_rate: float = 10.0
-    noise: Mapping[Label, BoxNoise] = field(default_factory=dict)
+    noise: Mapping[Label, BoxNoise] | Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         door = Door(self, type(self).__name__)
@@ -87,20 +88,47 @@ class ProbabilisticKFConfig:
         door.count("min_hits", at_least=1)
         for name in ("mahalanobis_gate", "max_age", "frame_rate"):
             door.number(name, above=0.0)
-        for label, noise in self.noise.items():
-            if len(noise.initial) != _STATES:
-                raise InputError(
-                    "the probabilistic Kalman filter has eleven states",
-                    field=f"noise.{Label(label).name}",
-                    expected=_STATES,
-                    got=len(noise.initial),
-                )
-        object.__setattr__(self, "noise", MappingProxyType({**DEFAULT_NOISE, **self.noise}))
+        given = dict(_noise(label, noise) for label, noise in self.noise.items())
+        object.__setattr__(self, "noise", MappingProxyType({**DEFAULT_NOISE, **given}))
+
+    def noise_of(self, label: Label) -> BoxNoise:
+        """The variances of a label."""
+        noise: BoxNoise = self.noise[label]  # type: ignore[index]
+        return noise
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Mapping proxies do not pickle.
         values = {**self.__dict__, "noise": dict(self.noise)}
         return _make_config, (values,)
+
+
+def _noise(label: Any, noise: Any) -> tuple[Label, BoxNoise]:
+    """A label and its variances, from values or from their names."""
+    names = [known.name for known in Label]
+    name = label.name if isinstance(label, Label) else str(label)
+    if name not in names:
+        raise InputError(
+            "no such label", field=f"noise.{name}", hint=nearest_hint(name, names, "label")
+        )
+    if isinstance(noise, Mapping):
+        known = ("initial", "process", "measurement")
+        for key in (*noise, *known):
+            if key not in known or key not in noise:
+                raise InputError(
+                    "variances of a label",
+                    field=f"noise.{name}.{key}",
+                    expected=", ".join(known),
+                    hint=nearest_hint(key, known, "key"),
+                )
+        noise = BoxNoise(**noise)
+    if len(noise.initial) != _STATES:
+        raise InputError(
+            "the probabilistic Kalman filter has eleven states",
+            field=f"noise.{name}",
+            expected=_STATES,
+            got=len(noise.initial),
+        )
+    return Label[name], noise
 
 
 def _make_config(values: dict[str, Any]) -> ProbabilisticKFConfig:
@@ -123,7 +151,7 @@ class ProbabilisticKFTracker:
                 coasting=False,
                 frame_rate=config.frame_rate,
             ),
-            noise=lambda label: config.noise[label],
+            noise=config.noise_of,
             associate=greedy_mahalanobis(config.mahalanobis_gate),
         )
 

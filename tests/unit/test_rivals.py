@@ -170,6 +170,19 @@ class TestProbabilisticKF:
         assert tracker.step(frame(5, (0.0,))).id.tolist() == [0]
         assert twin.step(frame(6, (0.0,))).id.tolist() == []
 
+    def test_variances_as_a_file_has_them(self):
+        values = {name: getattr(plain_noise(), name).tolist() for name in vars(plain_noise())}
+        config = ProbabilisticKFConfig(noise={"CAR": values})
+        np.testing.assert_array_equal(
+            config.noise_of(Label.CAR).process, self.config().noise_of(Label.CAR).process
+        )
+        with pytest.raises(InputError, match=r"noise\.CARR.*did you mean 'CAR'"):
+            ProbabilisticKFConfig(noise={"CARR": values})
+        with pytest.raises(InputError, match=r"noise\.CAR\.measurment.*did you mean 'measurement'"):
+            ProbabilisticKFConfig(noise={"CAR": {**values, "measurment": [1]}})
+        with pytest.raises(InputError, match=r"noise\.CAR\.process"):
+            ProbabilisticKFConfig(noise={"CAR": {"initial": [1.0] * 11, "measurement": [1] * 7}})
+
     def test_impossible_parameters(self):
         with pytest.raises(InputError, match="mahalanobis_gate"):
             ProbabilisticKFConfig(mahalanobis_gate=0)
