@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmbm.errors import InputError
-from pmbm.metrics import catalogue
+from pmbm.metrics import catalogue, formulas
 from pmbm.metrics.argoverse1 import argoverse1_counts
-from pmbm.metrics.catalogue import ratio, total
+from pmbm.metrics.formulas import NO_MATCH, NO_TRUTH, ratio, total
 from pmbm.metrics.kitti import (
     KittiAverages,
     KittiCounts,
@@ -35,9 +35,6 @@ from pmbm.metrics.trackeval import SimilarScene, trackeval_counts
 from pmbm.metrics.waymo import WaymoCounts, WaymoScene, waymo_counts, waymo_scores
 
 FloatArray = NDArray[np.float64]
-
-_NO_TRUTH: Final = "no truth"
-_NO_MATCH: Final = "nothing is matched"
 
 
 def evaluate_argoverse1(
@@ -175,10 +172,10 @@ _TRUTHS: Final = ("truths", "boxes", "none", "boxes of truth", total("truths"))
 _ARGOVERSE1: Final = _table(
     "argoverse1",
     [
-        ("mota", "1", "higher", "CLEAR MOT accuracy", catalogue.mota),
-        ("motp_c", "m", "lower", "centre error", ratio("distance_sum", "matches", _NO_MATCH)),
-        ("motp_o", "deg", "lower", "yaw error", ratio("orientation_sum", "matches", _NO_MATCH)),
-        ("motp_i", "1", "lower", "size error", ratio("size_sum", "matches", _NO_MATCH)),
+        ("mota", "1", "higher", "CLEAR MOT accuracy", formulas.mota),
+        ("motp_c", "m", "lower", "centre error", ratio("distance_sum", "matches", NO_MATCH)),
+        ("motp_o", "deg", "lower", "yaw error", ratio("orientation_sum", "matches", NO_MATCH)),
+        ("motp_i", "1", "lower", "size error", ratio("size_sum", "matches", NO_MATCH)),
         ("false_positives", "boxes", "lower", "boxes of nothing", total("false_positives")),
         ("misses", "boxes", "lower", "objects not found", total("misses")),
         ("id_switches", "events", "lower", "changes of identity", total("switches")),
@@ -199,14 +196,14 @@ _ARGOVERSE1: Final = _table(
             "1",
             "higher",
             "objects tracked in 80 % of frames or more",
-            ratio("mostly_tracked", "objects", _NO_TRUTH),
+            ratio("mostly_tracked", "objects", NO_TRUTH),
         ),
         (
             "mostly_lost",
             "1",
             "lower",
             "objects tracked in less than 20 % of frames",
-            ratio("mostly_lost", "objects", _NO_TRUTH),
+            ratio("mostly_lost", "objects", NO_TRUTH),
         ),
         _TRUTHS,
     ],
@@ -218,7 +215,7 @@ def _waymo(field: str) -> Callable[[Counts], float | Undefined]:
 
     def formula(counts: Counts) -> float | Undefined:
         if not counts["truths"].any():
-            return Undefined(_NO_TRUTH)
+            return Undefined(NO_TRUTH)
         scores = waymo_scores(WaymoCounts(**{name: counts[name] for name in names}))
         value = getattr(scores, field)
         return _or_undefined(value, "no score cutoff has a MOTA above 0")
@@ -243,7 +240,7 @@ _WAYMO: Final = _table(
 def _kitti(name: str) -> Callable[[Counts], float | Undefined]:
     def formula(counts: Counts) -> float | Undefined:
         own = KittiCounts(**{key: counts[key] for key in KittiCounts.__dataclass_fields__})
-        return _or_undefined(kitti_scores(own)[name], _NO_TRUTH)
+        return _or_undefined(kitti_scores(own)[name], NO_TRUTH)
 
     return formula
 
@@ -251,7 +248,7 @@ def _kitti(name: str) -> Callable[[Counts], float | Undefined]:
 def _kitti_average(name: str) -> Callable[[Counts], float | Undefined]:
     def formula(counts: Counts) -> float | Undefined:
         averages = _averages(counts["sequences"], counts["least_overlap"])
-        return Undefined(_NO_TRUTH) if averages is None else float(getattr(averages, name))
+        return Undefined(NO_TRUTH) if averages is None else float(getattr(averages, name))
 
     return formula
 
@@ -288,7 +285,7 @@ def _nuscenes(name: str) -> Callable[[Counts], float | Undefined]:
     def formula(counts: Counts) -> float | Undefined:
         scores = _nuscenes_scores(counts["scenes"], counts["gate"])
         if scores is None:
-            return Undefined(_NO_TRUTH)
+            return Undefined(NO_TRUTH)
         value = scores.at_best[name] if name in scores.at_best else getattr(scores, name)
         return _or_undefined(value, "no recall level is reached")
 
@@ -329,23 +326,23 @@ def _part(prefix: str, formula: Callable[[Counts], Any]) -> Callable[[Counts], A
 
 
 def _hota(curve: Callable[[Counts], FloatArray]) -> Callable[[Counts], Any]:
-    return _part("hota.", catalogue.over_alphas(curve))
+    return _part("hota.", formulas.over_alphas(curve))
 
 
 _TRACKEVAL: Final = _table(
     "trackeval",
     [
-        ("hota", "1", "higher", "detection and association", _hota(catalogue.hota_curve)),
-        ("deta", "1", "higher", "detection", _hota(catalogue.deta_curve)),
-        ("assa", "1", "higher", "association", _hota(catalogue.assa_curve)),
-        ("loca", "1", "higher", "similarity of matches", _hota(catalogue.loca_curve)),
-        ("mota", "1", "higher", "CLEAR MOT accuracy", catalogue.mota),
+        ("hota", "1", "higher", "detection and association", _hota(formulas.hota_curve)),
+        ("deta", "1", "higher", "detection", _hota(formulas.deta_curve)),
+        ("assa", "1", "higher", "association", _hota(formulas.assa_curve)),
+        ("loca", "1", "higher", "similarity of matches", _hota(formulas.loca_curve)),
+        ("mota", "1", "higher", "CLEAR MOT accuracy", formulas.mota),
         (
             "motp",
             "1",
             "higher",
             "similarity of matches",
-            ratio("similarity_sum", "matches", _NO_MATCH),
+            ratio("similarity_sum", "matches", NO_MATCH),
         ),
         ("id_switches", "events", "lower", "changes of identity", total("switches")),
         ("fragmentations", "events", "lower", "restarts", total("fragmentations")),
@@ -356,7 +353,7 @@ _TRACKEVAL: Final = _table(
             "1",
             "higher",
             "agreement of identities",
-            _part("identity.", catalogue.f1("true_positives", "misses", "false_positives")),
+            _part("identity.", formulas.f1("true_positives", "misses", "false_positives")),
         ),
         _TRUTHS,
     ],

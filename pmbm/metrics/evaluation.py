@@ -14,13 +14,13 @@ from pmbm.errors import InputError
 from pmbm.labels import Label
 from pmbm.metrics import catalogue
 from pmbm.metrics.calibration import reliability
-from pmbm.metrics.catalogue import MetricParameters
 from pmbm.metrics.clear import Matches, clear_counts, clear_matches, gated_pairs
 from pmbm.metrics.consistency import normalised_squares
 from pmbm.metrics.gospa import gospa_series
 from pmbm.metrics.hota import distance_similarity, hota_counts
 from pmbm.metrics.identity import identity_counts
 from pmbm.metrics.ospa import ospa_series
+from pmbm.metrics.parameters import MetricParameters
 from pmbm.metrics.result import OBSERVABLE, Evaluation, MetricValue, Samples
 from pmbm.metrics.scene import Scene, scene_of
 from pmbm.metrics.siap import siap_associations, siap_counts
