@@ -5,13 +5,12 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtr
 
-from pmbm.study import Estimate, Summary, TrialResult, estimate, summarise
+from pmbm.study import Estimate, Summary, TrialResult, estimate
 from reports.curves import Curve, curve_figure, svg_image
 from reports.page import render_page
 from reports.render import LAYERS, ReplayView, facts, replay_view
@@ -106,7 +105,7 @@ class _WorstView:
 
 def study_page(study: StudyReport) -> str:
     """The study as one HTML file that opens from disk."""
-    summaries = _summaries(study)
+    summaries = [summary for summary in study.summaries if summary]
     metric = leading_metric(summaries)
     return render_page(
         "study.html.j2",
@@ -132,7 +131,7 @@ def study_page(study: StudyReport) -> str:
 
 def study_markdown(study: StudyReport) -> str:
     """The verdicts, the leading metrics and the failures, for a pull request."""
-    summaries = _summaries(study)
+    summaries = [summary for summary in study.summaries if summary]
     lines = [f"### {_plain(study.name)}", "", _plain(_lede(study, summaries)), ""]
     lines += [f"- **{_plain(f.headline)}** {_plain(f.detail)}" for f in findings(study)]
     if summaries:
@@ -151,15 +150,12 @@ def findings(study: StudyReport) -> tuple[Finding, ...]:
     A cell counts where the paired t test, adjusted by Holm (Scand. J. Statist. 6, 1979) over all
     cells and trackers of the study, is below 5 %.
     """
-    scenarios = list(_by_scenario(study))
-    summaries = {id(cell): _summary(study, cell) for _, cells in scenarios for cell in cells}
-    metric = leading_metric([s for s in summaries.values() if s])
+    metric = leading_metric([summary for summary in study.summaries if summary])
     shown = shown_metric(metric)
     paired = [
         (name, cell, tracker, difference)
-        for name, cells in scenarios
-        for cell in cells
-        if (summary := summaries[id(cell)])
+        for name, cells in study.scenarios.items()
+        for cell, summary in cells
         for tracker, values in summary.differences.items()
         if (difference := values.get(metric)) and difference.mean is not None
     ]
@@ -172,7 +168,7 @@ def findings(study: StudyReport) -> tuple[Finding, ...]:
             for (scenario, cell, other, difference), sure in zip(paired, clear, strict=True)
             if (scenario, other) == (name, tracker)
         ]
-        reference = next(s.reference for s in summaries.values() if s)
+        reference = study.scenarios[name][0][1].reference
         found.append(_finding(name, tracker, reference, shown.name, shown.unit, mine))
     return tuple(found)
 
@@ -245,21 +241,6 @@ def _interval(difference: Estimate, unit: str) -> str:
     return f"{text.mean}{half} {unit}".strip()
 
 
-def _by_scenario(study: StudyReport) -> Iterable[tuple[str, list[CellResults]]]:
-    order = list(dict.fromkeys(cell.scenario for cell in study.cells))
-    cells = sorted(study.cells, key=lambda cell: order.index(cell.scenario))
-    for name, group in groupby(cells, key=lambda cell: cell.scenario):
-        yield name, list(group)
-
-
-def _summary(study: StudyReport, cell: CellResults) -> Summary | None:
-    return summarise(cell.results, study.reference) if cell.results else None
-
-
-def _summaries(study: StudyReport) -> list[Summary]:
-    return [s for cell in study.cells if (s := _summary(study, cell))]
-
-
 def _lede(study: StudyReport, summaries: Sequence[Summary]) -> str:
     trackers = list(dict.fromkeys(name for s in summaries for name in s.trackers))
     parts = [f"{study.done} of {study.planned} trials"]
@@ -272,13 +253,10 @@ def _lede(study: StudyReport, summaries: Sequence[Summary]) -> str:
 
 
 def _scenarios(study: StudyReport, metric: str) -> Iterable[_ScenarioView]:
-    for name, cells in _by_scenario(study):
-        filled = [(cell, s) for cell in cells if (s := _summary(study, cell))]
-        if not filled:
-            continue
+    for name, filled in study.scenarios.items():
         yield _ScenarioView(
             name=name,
-            stresses=cells[0].stresses,
+            stresses=filled[0][0].stresses,
             cells=tuple(
                 _CellView(cell.label, *metric_tables(summary), summary.trials)
                 for cell, summary in filled
@@ -375,8 +353,8 @@ def _stack(label: str, tracker: int, means: Sequence[float], longest: float) -> 
 def _timings(study: StudyReport) -> tuple[tuple[str, str, str, str, str], ...]:
     """Per scenario and tracker: mean, median and 99th percentile of a step's CPU time, ms."""
     rows = []
-    for name, cells in _by_scenario(study):
-        results = [result for cell in cells for result in cell.results]
+    for name, cells in study.scenarios.items():
+        results = [result for cell, _ in cells for result in cell.results]
         for tracker in dict.fromkeys(t for result in results for t in result.time):
             times = [result.time[tracker] for result in results if tracker in result.time]
             figures = (
@@ -394,11 +372,9 @@ def _markdown_tables(study: StudyReport, summaries: Sequence[Summary]) -> list[s
     header = ["setting", "metric", *first.trackers]
     header += [f"{tracker} − {first.reference}" for tracker in first.differences]
     rows = []
-    for _, cells in _by_scenario(study):
-        for cell in cells:
-            summary = _summary(study, cell)
-            for metric in measured if summary else ():
-                assert summary is not None
+    for cells in study.scenarios.values():
+        for cell, summary in cells:
+            for metric in measured:
                 row = metric_row(summary, metric)
                 setting = cell.scenario if not cell.point else f"{cell.scenario}: {cell.label}"
                 numbers = [_cell_text(text) for text in row.cells]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from pmbm.errors import InputError
@@ -125,6 +126,24 @@ class StudyReport:
     worst: Sequence[WorstTrial] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     reference: str | None = None
+
+    @cached_property
+    def summaries(self) -> tuple[Summary | None, ...]:
+        """Of each cell; None where it has no results yet."""
+        from pmbm.study import summarise
+
+        return tuple(
+            summarise(cell.results, self.reference) if cell.results else None for cell in self.cells
+        )
+
+    @property
+    def scenarios(self) -> dict[str, list[tuple[CellResults, Summary]]]:
+        """Name -> its cells that have results, in order."""
+        found: dict[str, list[tuple[CellResults, Summary]]] = {}
+        for cell, summary in zip(self.cells, self.summaries, strict=True):
+            if summary is not None:
+                found.setdefault(cell.scenario, []).append((cell, summary))
+        return found
 
     @property
     def done(self) -> int:
