@@ -48,6 +48,12 @@ def run_page(sections: Sequence[Section], *, title: str, command: str) -> str:
     )
 
 
+def replay_page(replay: Replay) -> str:
+    """The page of a replay alone."""
+    name = replay.recording.name
+    return render_page("replay.html.j2", title=name, view=replay_view(replay), layers=LAYERS)
+
+
 @dataclass(frozen=True)
 class ReplayView:
     """What the template needs of a replay."""

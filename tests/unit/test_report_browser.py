@@ -388,3 +388,23 @@ def test_a_study_page_shows_its_curves_and_worst_trials(browser, tmp_path):
     wait(browser, "return [...document.images].every((i) => i.complete && i.naturalWidth > 100)")
     assert browser.execute_script("return document.images.length") == 2
     assert complaints(browser) == []
+
+
+def test_a_notebook_shows_a_replay_in_its_frame(browser, tmp_path):
+    from reports.notebook import show
+
+    scene = recording(frames=8, name=HOSTILE)
+    path = tmp_path / "cell.html"
+    for tracker in (tracks(scene), {"a": tracks(scene), "b": tracks(scene)}, None):
+        cell = show(scene, tracker)._repr_html_()
+        path.write_text(f"<!doctype html><meta charset=utf-8><body>{cell}", encoding="utf-8")
+        browser.get(path.as_uri())
+        browser.switch_to.frame(0)
+        try:
+            wait(browser, "return !!document.querySelector('.replay.ready')")
+            browser.execute_script("document.querySelector('.replay').player.seek(5)")
+            settle(browser)
+            assert browser.find_element("css selector", ".clock").text.startswith("0.5 /")
+        finally:
+            browser.switch_to.default_content()
+        assert complaints(browser) == []
