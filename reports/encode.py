@@ -26,6 +26,9 @@ METRE, RADIAN, SHARE, SPEED = 0.01, 0.001, 0.01, 0.05
 INTENSITY_FLOOR = 1e-4
 """Components of the undetected intensity lighter than this (expected objects) are left out."""
 
+_LARGEST = 5e8
+"""Of a packed integer: what zigzag codes of differences hold, in 32 bits."""
+
 PLOTTED = ("gospa", "gospa_localisation", "gospa_missed", "gospa_false")
 
 OBSERVABLE, CRASHED, DETECTED = 1, 2, 4
@@ -83,7 +86,8 @@ class _Blob:
         places = {}
         rows = 0
         for name, (values, resolution) in columns.items():
-            integers = np.rint(np.asarray(values, dtype=np.float64) / resolution).astype(np.int64)
+            scaled = np.asarray(values, dtype=np.float64) / resolution
+            integers = np.rint(np.clip(scaled, -_LARGEST, _LARGEST)).astype(np.int64)
             rows = len(integers)
             places[name] = [self._bytes, resolution]
             self._add(integers)
