@@ -19,6 +19,7 @@ from pmbm.errors import InputError
 from pmbm.metrics import catalogue, formulas
 from pmbm.metrics.argoverse1 import argoverse1_counts
 from pmbm.metrics.formulas import NO_MATCH, NO_TRUTH, ratio, total
+from pmbm.metrics.gaps import fill_gaps
 from pmbm.metrics.kitti import (
     KittiAverages,
     KittiCounts,
@@ -28,7 +29,7 @@ from pmbm.metrics.kitti import (
     kitti_scores,
     sum_counts,
 )
-from pmbm.metrics.nuscenes import NuscenesScores, nuscenes_scores
+from pmbm.metrics.nuscenes import NuscenesScores, nuscenes_scores, with_track_scores
 from pmbm.metrics.result import Counts, Definition, Direction, Evaluation, Joined, Undefined
 from pmbm.metrics.scene import Scene
 from pmbm.metrics.trackeval import SimilarScene, trackeval_counts
@@ -87,9 +88,28 @@ def evaluate_kitti(sequences: Sequence[KittiScene], least_overlap: float) -> Eva
     return _evaluation(_KITTI, counts, {"least_overlap": least_overlap}, len(sequences))
 
 
-def evaluate_nuscenes(scenes: Sequence[Scene], *, gate: float = 2.0) -> Evaluation:
-    """nuScenes over scenes of one class; `gate` : centres strictly nearer in (x, y) match, m."""
-    return _evaluation(_NUSCENES, {"scenes": Joined(tuple(scenes))}, {"gate": gate}, len(scenes))
+def evaluate_nuscenes(
+    scenes: Sequence[Scene], *, gate: float = 2.0, gaps: str = "filled"
+) -> Evaluation:
+    """nuScenes over scenes of one class.
+
+    gate : centres strictly nearer in (x, y) match, m.
+    gaps : where an id is absent between its first and last frame, boxes are "filled" in by
+        interpolation on both sides, as the benchmark means it; "devkit" fills them in as its
+        program does, the earlier box with the later one's weight; "left" leaves them.
+    """
+    if gaps not in _GAPS:
+        raise InputError(f"no way '{gaps}' with gaps", field="gaps", expected=", ".join(_GAPS))
+    filled = tuple(_GAPS[gaps](with_track_scores(scene)) for scene in scenes)
+    parameters = {"gate": gate, "gaps": gaps}
+    return _evaluation(_NUSCENES, {"scenes": Joined(filled)}, parameters, len(scenes))
+
+
+_GAPS: Final[Mapping[str, Callable[[Scene], Scene]]] = {
+    "filled": fill_gaps,
+    "devkit": lambda scene: fill_gaps(scene, reversed_weights=True),
+    "left": lambda scene: scene,
+}
 
 
 def evaluate_trackeval(

@@ -32,6 +32,7 @@ def ratio(top: str, bottom: str, none: str) -> Formula:
 
 
 def total(name: str) -> Formula:
+    """counts[name] itself."""
     return lambda counts: float(counts[name])
 
 
@@ -45,6 +46,8 @@ def means(bottom: str, *names: str) -> Parts:
 
 
 def median(name: str, none: str) -> Formula:
+    """The median of samples, undefined (with this reason) without any."""
+
     def formula(counts: Counts) -> float | Undefined:
         values = counts[name].values
         return float(np.median(values)) if len(values) else Undefined(none)
@@ -53,6 +56,8 @@ def median(name: str, none: str) -> Formula:
 
 
 def mean(name: str, none: str) -> Formula:
+    """The mean of samples, undefined (with this reason) without any."""
+
     def formula(counts: Counts) -> float | Undefined:
         values = counts[name].values
         return float(values.mean()) if len(values) else Undefined(none)
@@ -124,17 +129,20 @@ def hota_curve(counts: Counts) -> FloatArray:
 
 
 def speed_parts(counts: Counts) -> Mapping[str, float]:
+    """The root mean square beside a mean velocity error, m/s."""
     if not counts["matches"]:
         return {}
     return {"root_mean_square": float(np.sqrt(counts["velocity_square"] / counts["matches"]))}
 
 
 def kept_share(counts: Counts) -> float | Undefined:
+    """The share of occlusions after which the old id came back."""
     occlusions = counts["kept"] + counts["lost"]
     return counts["kept"] / occlusions if occlusions else Undefined("no tracked object was hidden")
 
 
 def nees_parts(counts: Counts) -> Mapping[str, float]:
+    """How many estimates, and where 95 % of their means lie if they were independent and honest."""
     if not counts["estimates"]:
         return {}
     low, high = chi2_bounds(STATE_DIMENSION, counts["estimates"])
@@ -142,6 +150,7 @@ def nees_parts(counts: Counts) -> Mapping[str, float]:
 
 
 def anees_parts(counts: Counts) -> Mapping[str, float]:
+    """`nees_parts`, the bounds per dimension."""
     return {
         key: value if key == "n" else value / STATE_DIMENSION
         for key, value in nees_parts(counts).items()
@@ -149,6 +158,7 @@ def anees_parts(counts: Counts) -> Mapping[str, float]:
 
 
 def calibration_error(counts: Counts) -> float | Undefined:
+    """Mean over reports of |mean probability - share that is real| of their bin."""
     if not counts["reports"]:
         return Undefined(NO_TRACKS)
     return float(np.abs(counts["probability_sum"] - counts["hits"]).sum() / counts["reports"])

@@ -83,6 +83,11 @@ def nuscenes_scores(scenes: Sequence[Scene], gate: float = 2.0) -> NuscenesScore
     )
 
 
+def with_track_scores(scene: Scene) -> Scene:
+    """Every box of a track with the mean score of its track, before boxes are filled in."""
+    return replace(scene, tracks=replace(scene.tracks, score=_track_scores(scene)))
+
+
 def _track_scores(scene: Scene) -> FloatArray:
     """For each track row the mean score of its track, (K,), to the bit as the devkit rounds it:
     thresholds lie on these very values."""

@@ -16,6 +16,7 @@ from pmbm.metrics.benchmarks import (
     evaluate_trackeval,
     evaluate_waymo,
 )
+from pmbm.metrics.gaps import fill_gaps
 from pmbm.metrics.kitti import KittiScene
 from pmbm.metrics.result import combine
 from pmbm.metrics.scene import Scene, make_scene, pair_overlap, scene_of
@@ -180,6 +181,32 @@ class TestNuscenes:
         scores = evaluate_nuscenes([made]).scalars()
         assert scores["amota"] == pytest.approx(18 / 40)
         assert scores["amotp"] == pytest.approx(2.0 * 22 / 40)
+
+    @pytest.mark.parametrize(
+        ("gaps", "x", "missed"), [("filled", [1, 2], 0), ("devkit", [2, 1], 0), ("left", [], 2)]
+    )
+    def test_gaps(self, gaps, x, missed):
+        """A car passes x = 0 to 3; its track lacks the two frames between."""
+        truth = [{1: (k, 0)} for k in range(4)]
+        made = scene(truth, [{7: (0, 0)}, {}, {}, {7: (3, 0)}])
+        evaluation = evaluate_nuscenes([made], gaps=gaps)
+        assert evaluation["misses"].value == missed
+        (scored,) = evaluation["amota"].counts["scenes"].items
+        assert scored.tracks.position[1:-1, 0].tolist() == pytest.approx(x)
+        assert evaluation["motp"].value == pytest.approx(0.5 if gaps == "devkit" else 0)
+
+    def test_gaps_are_filled_the_short_way_round_and_with_the_time_between(self):
+        truth = [
+            truth_frame({1: (0, 0)}, 0.0, yaw=[3.0]),
+            truth_frame({}, 0.3),
+            truth_frame({1: (1, 0)}, 1.0, yaw=[-3.0]),
+        ]
+        made = make_scene(truth, [tracks_frame({}, frame.time) for frame in truth])
+        filled = fill_gaps(made).truth
+        assert filled.frame.tolist() == [0, 1, 2]
+        assert filled.position[1, 0] == pytest.approx(0.3)
+        turned = 3.0 + 0.3 * (2 * np.pi - 6.0)
+        assert filled.yaw[1] == pytest.approx(turned)
 
     def test_scenes_are_pooled_not_averaged(self):
         good = scene([{1: (k, 0)} for k in range(50)], [{7: (k, 0)} for k in range(50)])

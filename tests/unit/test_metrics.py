@@ -228,9 +228,12 @@ class TestTestbedMeasures:
         tracks = [{7: (k, 0)} if k < 2 else {7: (k, 1.5)} if k < 4 else {} for k in range(7)]
         tracks += [{after: (7, 0)}, {after: (8, 0)}]
         hidden = {k: [CAR] for k in range(2, 7)}
-        scores = values(truth, tracks, hidden=hidden)
-        assert scores["id_kept"] == kept
-        assert scores["coasting_error"] == pytest.approx(1.5)
+        evaluation = evaluate(*run_of(truth, tracks, hidden=hidden))
+        assert evaluation["id_kept"].value == kept
+        coasting = evaluation["coasting_error"]
+        assert coasting.value == pytest.approx(1.5)
+        # Reported in two of the five hidden frames.
+        assert (coasting.components["n"], coasting.components["hidden"]) == (2, 5)
         # One frame less is no occlusion.
         assert values(truth, tracks, hidden={k: [CAR] for k in range(2, 6)})["id_kept"] is None
 
