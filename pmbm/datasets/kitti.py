@@ -84,8 +84,8 @@ _CONFIDENCE: Final[Mapping[str, tuple[float, float]]] = {
     "Pedestrian": (1.32, -4.11),
     "Cyclist": (0.75, -3.23),
 }
-"""Slope and offset of the logistic that turns a PointRCNN logit into the probability that the box is
-true: fitted to the origins (3D IoU of at least .25) of the detections in the training sequences
+"""Slope and offset of the logistic that turns a PointRCNN logit into the probability that the box
+is true: fitted to the origins (3D IoU of at least .25) of the detections in the training sequences
 0000, 0002-0005, 0007, 0009, 0011 and 0017."""
 
 
