@@ -26,7 +26,6 @@ from pmbm.datasets.nuscenes_tables import (
     RANGE,
     Tables,
     counted,
-    filled_gaps,
     read_results,
 )
 from pmbm.datasets.poses import yaw_quaternion
@@ -51,8 +50,6 @@ class NuScenes:
     root : the folder of the tables, such as `v1.0-mini`.
     detections : a detection file with every sample of the scenes; None for none.
     classes : of the seven that are tracked.
-    as_devkit : fill gaps as the benchmark's program does (d9de17a), which gives the weight of
-        either end to the other; for comparison with published figures.
 
     World: the map's frame.  Truth is observable where the benchmark counts it: with a lidar or
     radar point, in its class's range, not in a bicycle rack.  Results are files of the submission's
@@ -62,7 +59,6 @@ class NuScenes:
     root: Path
     detections: str | None = None
     classes: tuple[str, ...] = CLASSES
-    as_devkit: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "root", Path(self.root))
@@ -129,18 +125,14 @@ class NuScenes:
 
     def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
         """Annotations and results of one class in the map's frame, what the benchmark does not
-        count left out on both sides, and gaps in what is left filled."""
+        count left out on both sides."""
         tokens, timeline = self._frames(sequence)
         racks = [self._racks(token) for token in tokens]
         truth, results = (
-            filled_gaps(
-                [
-                    [box for box in frame if box.observable and counted(box, where, near)]
-                    for frame, where, near in zip(frames, timeline.poses, racks, strict=True)
-                ],
-                timeline.times,
-                exchanged=self.as_devkit,
-            )
+            [
+                [box for box in frame if box.observable and counted(box, where, near)]
+                for frame, where, near in zip(frames, timeline.poses, racks, strict=True)
+            ]
             for frames in (self._truth(tokens, timeline), self._results(sequence, tokens, folder))
         )
         return log_comparison(timeline, truth, results, kind, LABELS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -22,11 +21,11 @@ from pmbm.datasets.files import (
     json_vector,
     read_json,
 )
-from pmbm.datasets.logs import Box, Frames, Timeline, each_name_once
+from pmbm.datasets.logs import Box, Timeline, each_name_once
 from pmbm.datasets.poses import Pose, matrix_yaw, pose, quaternion_matrix
 from pmbm.errors import InputError, nearest_hint
-from pmbm.geometry import to_local, wrap_angle
-from pmbm.types import FloatArray, Label
+from pmbm.geometry import to_local
+from pmbm.types import Label
 
 LABELS: Final[Mapping[str, Label]] = {
     "car": Label.CAR,
@@ -254,46 +253,6 @@ def counted(box: Box, where: Pose, racks: Sequence[Box]) -> bool:
 def _inside(rack: Box, box: Box) -> bool:
     local = to_local(box.place[:2], (*rack.place[:2], rack.yaw))
     return bool((np.abs(local) <= np.array(rack.size[:2]) / 2).all())
-
-
-def filled_gaps(frames: Frames, times: FloatArray, *, exchanged: bool = False) -> list[list[Box]]:
-    """The boxes, and in every sample between an object's first and last one without it a box
-    interpolated between its neighbours in time; its score is the mean of the track's.
-
-    exchanged : give the weight of either neighbour to the other.
-    """
-    seen: dict[str, dict[int, Box]] = {}
-    for k, frame in enumerate(frames):
-        for box in frame:
-            seen.setdefault(box.name, {})[k] = box
-    full = [list(frame) for frame in frames]
-    for boxes in seen.values():
-        score = sum(box.score for box in boxes.values()) / len(boxes)
-        present = sorted(boxes)
-        for left, right in itertools.pairwise(present):
-            for k in range(left + 1, right):
-                share = float((times[k] - times[left]) / (times[right] - times[left]))
-                share = 1 - share if exchanged else share
-                full[k].append(replace(_between(boxes[left], boxes[right], share), score=score))
-    return full
-
-
-def _between(left: Box, right: Box, share: float) -> Box:
-    """`share` of the way from one box to the other, headings by the shorter turn."""
-    turn = float(wrap_angle(right.yaw - left.yaw))
-    return replace(
-        left,
-        place=_mean(left.place, right.place, share),
-        size=_mean(left.size, right.size, share),
-        yaw=left.yaw + share * turn,
-    )
-
-
-def _mean(
-    left: tuple[float, float, float], right: tuple[float, float, float], share: float
-) -> tuple[float, float, float]:
-    x, y, z = ((1 - share) * a + share * b for a, b in zip(left, right, strict=True))
-    return x, y, z
 
 
 def read_results(path: Path, tokens: Sequence[str], prefix: str, *, named: bool) -> list[list[Box]]:

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from pmbm.datasets import load, open_dataset
-from pmbm.datasets.logs import Box
-from pmbm.datasets.nuscenes_tables import filled_gaps
 from pmbm.errors import InputError
 from pmbm.types import Label, Tracks, TrackSequence
 
@@ -358,29 +356,6 @@ class TestNuScenes:
         edit(root / "sample_annotation.json", lambda t: t.append({**t[0], **box}))
         made = sample(folder, "nuscenes")
         assert [f.observable.tolist() for f in made.truth] == [[False], [True], [True]]
-
-    @pytest.mark.parametrize("as_devkit", [False, True])
-    def test_gaps_are_filled(self, as_devkit):
-        """Boxes at 0 s and 3 s stand in for the samples at 1 and 2 s; the devkit exchanges them."""
-        ends = [
-            Box("car", "7", (0.0, 0, 0), (4, 2, 1), 3.0, score=0.2),
-            Box("car", "7", (3.0, 0, 0), (4, 2, 4), -3.0, score=0.4),
-        ]
-        frames = filled_gaps([ends[:1], [], [], ends[1:], []], np.arange(5.0), exchanged=as_devkit)
-        assert [len(frame) for frame in frames] == [1, 1, 1, 1, 0]
-        order = (2, 1) if as_devkit else (1, 2)
-        turn = 2 * math.pi - 6
-        for k, share in zip((1, 2), order, strict=True):
-            np.testing.assert_allclose(frames[k][0].place, [share, 0, 0])
-            np.testing.assert_allclose(frames[k][0].size, [4, 2, 1 + share])
-            np.testing.assert_allclose(frames[k][0].yaw, 3.0 + share / 3 * turn)
-            np.testing.assert_allclose(frames[k][0].score, 0.3)
-
-    def test_gaps_of_results_are_filled_before_they_are_compared(self, folder):
-        (folder / "out").mkdir()
-        shutil.copy(folder / "nuscenes" / "tracks.json", folder / "out" / "scene-0001.json")
-        compared = opened(folder, "nuscenes").compared("scene-0001", "car", folder / "out")
-        np.testing.assert_allclose(compared.tracks[1].position, [[404.1, 1100.05, 0.9]])
 
     def test_missing_samples_fail_closed(self, folder):
         token = "ee3a6f0269465243bde881c2bd576ebe"
