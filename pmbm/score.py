@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmbm.door import Door
 from pmbm.errors import InputError, nearest_hint
+from pmbm.types import Detections
 
 FloatArray = NDArray[np.float64]
 Scale = Literal["score", "raw_score"]
@@ -67,6 +68,21 @@ class ScoreModel:
                 got=self.scale,
                 hint=nearest_hint(self.scale, _SCALES, "scale"),
             )
+
+    def read(self, detections: Detections) -> FloatArray:
+        """The scores (N,) on the scale that this model reads.
+
+        Raises InputError where it reads raw scores and the detections have none.
+        """
+        if self.scale == "score":
+            return detections.score
+        if detections.raw_score is None:
+            raise InputError(
+                "the score model reads raw scores, and the detections have none",
+                field="raw_score",
+                hint="fit a model to calibrated scores: scale = 'score'",
+            )
+        return detections.raw_score
 
     def probability(self, score: ArrayLike) -> FloatArray:
         """(N,) calibrated P(true | score)."""

@@ -16,6 +16,7 @@ Letters used in this folder alone:
 from __future__ import annotations
 
 from pmbm.filter.config import PMBMConfig
+from pmbm.filter.marks import Kinds, Visibility
 from pmbm.filter.tracker import PMBMTracker
 
-__all__ = ["PMBMConfig", "PMBMTracker"]
+__all__ = ["Kinds", "PMBMConfig", "PMBMTracker", "Visibility"]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmbm import compiled
 from pmbm.assignment import k_best_choices
 from pmbm.filter.clusters import components, join, row_limit
 from pmbm.filter.density import Density, Globals, Index, Mixture, ragged, starts, summed
@@ -43,6 +44,35 @@ class Pairs:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Priced:
+    """What a measurement would weigh as the first detection of an undetected object.
+
+    innovation : of the PPP components.  log_height (P,) : log of w P_D times the height of N(z).
+    gate : squared distance up to which a component counts.
+    """
+
+    innovation: Innovation
+    log_height: FloatArray
+    gate: float
+
+    def pairs(self, z: FloatArray) -> Pairs:
+        """Gated pairs of components and measurements z (M,2)."""
+        return _paired(self.innovation, self.log_height, z, self.gate)
+
+    def log_density(self, z: FloatArray) -> FloatArray:
+        """(M,) log of the sum of w P_D N(z) over the components in whose gate z lies."""
+        if compiled.native is not None:
+            return compiled.native.log_density(
+                *self.innovation.columns(), self.log_height, np.ascontiguousarray(z), self.gate
+            )
+        pairs = self.pairs(z)
+        if not len(pairs.row):
+            return np.full(len(z), -np.inf)
+        top = pairs.log_weight.max()
+        return top + _log(summed(np.exp(pairs.log_weight - top), pairs.measurement, len(z)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Children:
     """Global hypotheses after the scan, N rows sorted by cluster.
 
@@ -67,9 +97,9 @@ class Association:
     parents : the global hypotheses, joined where a measurement ties clusters together.
     cluster (M,) : the (joined) cluster that each measurement belongs to.
     known : pairs of local hypotheses and measurements.
-    undetected : pairs of PPP components and measurements.
+    undetected : the PPP, priced.
     log_missed (H,) : log(1 - r P_D).  existence_if_missed (H,) : r of a missed track.
-    detection_undetected (P,) : P_D of the PPP components.
+    detection (H,), detection_undetected (P,) : P_D of local hypotheses and of PPP components.
     log_first (M,) : log e, e = sum of w P_D N(z) over gated PPP components; -inf where none is.
     log_new (M,) : log(lambda_c + e).
     """
@@ -77,9 +107,10 @@ class Association:
     parents: Globals
     cluster: Index
     known: Pairs
-    undetected: Pairs
+    undetected: Priced
     log_missed: FloatArray
     existence_if_missed: FloatArray
+    detection: FloatArray
     detection_undetected: FloatArray
     log_first: FloatArray
     log_new: FloatArray
@@ -118,10 +149,10 @@ def associate(
     if scan.first is not None:
         log_first = log_first + _log(scan.first[:, 0])
         log_clutter = log_clutter + _log(scan.first[:, 1])
-    if scan.evidence is not None:
-        log_evidence = _log(scan.evidence[:, 0])
-        log_first = log_first + log_evidence
-        known = replace(known, log_weight=known.log_weight + log_evidence[known.measurement])
+    if scan.evidence is not None and scan.kinds is not None and local.kind is not None:
+        log_first = log_first + _log(scan.evidence @ scan.kinds)
+        said = (local.kind[known.row] * scan.evidence[known.measurement]).sum(axis=1)
+        known = replace(known, log_weight=known.log_weight + np.maximum(_log(said), LOG_TINY))
     log_new = np.maximum(np.logaddexp(log_first, log_clutter), LOG_TINY)
 
     if clustering:
@@ -143,6 +174,7 @@ def associate(
         undetected,
         log_missed,
         existence_if_missed,
+        detection,
         detection_undetected,
         log_first,
         log_new,
@@ -165,10 +197,14 @@ def _gated(
 ) -> Pairs:
     """Pairs within the gate; a Gaussian that cannot be detected (-inf in `log_prior`) has none."""
     innovation = Innovation.of(mean, cov, sensor.R)
+    return _paired(innovation, log_prior + innovation.log_norm(), z, threshold)
+
+
+def _paired(
+    innovation: Innovation, log_height: FloatArray, z: FloatArray, threshold: float
+) -> Pairs:
     row, measurement, y = gate(innovation, z, threshold)
-    log_weight = (
-        log_prior[row] + innovation.log_norm()[row] - 0.5 * (y[:, 0] * y[:, 0] + y[:, 1] * y[:, 1])
-    )
+    log_weight = log_height[row] - 0.5 * (y[:, 0] * y[:, 0] + y[:, 1] * y[:, 1])
     possible = log_weight > -np.inf
     if not possible.all():
         row, measurement, y = row[possible], measurement[possible], y[possible]
@@ -178,13 +214,11 @@ def _gated(
 
 def _first_detections(
     ppp: Mixture, log_detected: FloatArray, z: FloatArray, sensor: Sensor, threshold: float
-) -> tuple[Pairs, FloatArray]:
-    """Gated pairs of PPP components and measurements, and log e (M,)."""
-    pairs = _gated(ppp.mean, ppp.cov, log_detected, z, sensor, threshold)
-    if not len(pairs.row):
-        return pairs, np.full(len(z), -np.inf)
-    top = pairs.log_weight.max()
-    return pairs, top + _log(summed(np.exp(pairs.log_weight - top), pairs.measurement, len(z)))
+) -> tuple[Priced, FloatArray]:
+    """The PPP as first detections see it, and log e (M,)."""
+    innovation = Innovation.of(ppp.mean, ppp.cov, sensor.R)
+    priced = Priced(innovation, log_detected + innovation.log_norm(), threshold)
+    return priced, priced.log_density(z)
 
 
 def _children(
@@ -201,6 +235,14 @@ def _children(
     The log weight of a child is that of its parent with all tracks missed and all measurements
     new, plus, for every track that takes a measurement, what taking it gains over that.
     """
+    if compiled.native is not None:
+        pairs = known.row, known.measurement, known.log_weight
+        each = np.broadcast_to(allowed, len(parents)).astype(np.float64)
+        return Children(
+            *compiled.native.best_children(
+                *parents.columns(), *pairs, log_missed, log_new, cluster, each, margin
+            )
+        )
     row_of_entry = parents.row_of_member()
     new_by_cluster = summed(log_new, cluster, parents.clusters)
     base = (

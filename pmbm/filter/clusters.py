@@ -7,6 +7,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from pmbm import compiled
 from pmbm.filter.density import Globals, Index, ragged, starts, summed
 from pmbm.types import ABSENT, FloatArray
 
@@ -130,6 +131,8 @@ def split(table: Globals, locals_count: int) -> Globals:
     A local hypothesis that belongs to all global hypotheses of its cluster is independent of what
     the rest of the cluster does.
     """
+    if compiled.native is not None:
+        return Globals(*compiled.native.split(*table.columns(), locals_count))
     size = np.bincount(table.cluster, minlength=table.clusters)
     row = table.row_of_member()
     member_cluster = table.cluster[row]

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pmbm.errors import InputError, nearest_hint
+from pmbm.filter.marks import Kinds, Visibility
 from pmbm.score import ScoreModel
 
 
@@ -38,6 +39,12 @@ class PMBMConfig:
     newest_score : weight of the newest score in that mean, in (0, 1].
     miss_rule : "bayes"; "scaled": a miss multiplies existence and weight by 1 - P_D, as the paper
         has it.
+
+    Marks (what real detections demand; neutral ones give the plain filter)
+    kinds : what labels and scores say of what an object is, a persistent source of clutter among
+        them; None, an object is what its last detection says.  Not with `scores`, which it covers.
+    visibility : a chain of being seen and not seen, in place of `detection_probability`; None,
+        misses are independent.
 
     Undetected objects (Sec. 2.2)
     birth_rate : expected new objects per second over the field of view, >= 0.
@@ -80,6 +87,8 @@ class PMBMConfig:
     detection_high: float = 0.95
     newest_score: float = 0.3
     miss_rule: Literal["bayes", "scaled"] = "bayes"
+    kinds: Kinds | None = None
+    visibility: Visibility | None = None
     birth_rate: float = 0.5
     initial_objects: float = 3.0
     birth_components: int = 7
@@ -110,12 +119,21 @@ class PMBMConfig:
                     got=value,
                     hint=nearest_hint(value, choices, "choice"),
                 )
-        if self.score_model is not None and not isinstance(self.score_model, ScoreModel):
+        for name, kind in _OBJECTS.items():
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, kind):
+                raise InputError(
+                    "PMBM configuration",
+                    field=name,
+                    expected=f"a {kind.__name__} or None",
+                    got=type(value).__name__,
+                )
+        if self.kinds is not None and self.scores != "ignore":
             raise InputError(
                 "PMBM configuration",
-                field="score_model",
-                expected="a ScoreModel or None",
-                got=type(self.score_model).__name__,
+                field="scores",
+                expected="'ignore' beside kinds, which say what scores mean",
+                got=self.scores,
             )
         if self.detection_low > self.detection_high:
             raise InputError(
@@ -161,6 +179,7 @@ _PAPER: dict[str, Any] = {
     "detection_from_scores": "rising",
     "miss_rule": "scaled",
 }
+_OBJECTS = {"score_model": ScoreModel, "kinds": Kinds, "visibility": Visibility}
 _CHOICES = {
     "scores": ("ignore", "first", "everywhere"),
     "detection_from_scores": ("off", "rising", "falling"),

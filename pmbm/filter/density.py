@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmbm import compiled
 from pmbm.types import ABSENT, FloatArray, GaussianMixture, vouched
 
 Index = NDArray[np.intp]
@@ -69,6 +70,9 @@ class Locals:
     history (H,L) : int32, measurement taken at each of the last L steps, MISSED or BEFORE; L is
         the configuration's `history`.
     confidence (H,) or None : running mean of the scores of past detections, where it is asked for.
+    kind (H,K) or None : P(kind) of the object, adding up to one, where scores or labels tell kinds
+        apart.
+    seen (H,) or None : P(the detector sees it for the time being), where misses come in runs.
     """
 
     track: Index
@@ -79,6 +83,8 @@ class Locals:
     label: NDArray[np.int8]
     history: NDArray[np.int32]
     confidence: FloatArray | None = None
+    kind: FloatArray | None = None
+    seen: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.track)
@@ -93,6 +99,8 @@ class Locals:
             self.label[rows],
             self.history[rows],
             None if self.confidence is None else self.confidence[rows],
+            None if self.kind is None else self.kind[rows],
+            None if self.seen is None else self.seen[rows],
         )
 
     @staticmethod
@@ -106,10 +114,15 @@ class Locals:
             np.concatenate([part.label for part in parts]),
             np.concatenate([part.history for part in parts]),
             _concatenated([part.confidence for part in parts]),
+            _concatenated([part.kind for part in parts]),
+            _concatenated([part.seen for part in parts]),
         )
 
     @staticmethod
-    def empty(history: int = 0, confidence: bool = False) -> Locals:
+    def empty(
+        history: int = 0, *, confidence: bool = False, kinds: int = 0, seen: bool = False
+    ) -> Locals:
+        """No rows, with the optional columns asked for."""
         return Locals(
             np.zeros(0, np.intp),
             np.zeros(0),
@@ -119,6 +132,8 @@ class Locals:
             np.zeros(0, np.int8),
             np.zeros((0, history), np.int32),
             np.zeros(0) if confidence else None,
+            np.zeros((0, kinds)) if kinds else None,
+            np.zeros(0) if seen else None,
         )
 
 
@@ -144,6 +159,10 @@ class Globals:
     @property
     def clusters(self) -> int:
         return int(self.cluster[-1]) + 1 if len(self.cluster) else 0
+
+    def columns(self) -> tuple[Index, FloatArray, Index, Index]:
+        """The fields, as the compiled module takes them."""
+        return self.cluster, self.log_weight, self.start, self.member
 
     def row_of_member(self) -> Index:
         """(E,) the global hypothesis that each member entry belongs to."""
@@ -203,6 +222,8 @@ class Density:
     def hypothesis_probability(self) -> FloatArray:
         """(H,) marginal probability of each local hypothesis: its global hypotheses' weights."""
         table = self.hypotheses
+        if compiled.native is not None:
+            return compiled.native.probability(*table.columns(), len(self.local))
         weight = np.repeat(np.exp(table.log_weight), np.diff(table.start))
         return summed(weight, table.member, len(self.local))
 

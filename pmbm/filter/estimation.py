@@ -10,16 +10,18 @@ from itertools import pairwise
 
 import numpy as np
 
-from pmbm.filter.density import Density, Index
+from pmbm.filter.density import Density, Index, summed
+from pmbm.filter.marks import GHOST
 from pmbm.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Marginals:
-    """Per track: existence (T,), over all hypotheses, and best (T,), the row of its most probable
-    local hypothesis."""
+    """Per track: existence (T,), over all hypotheses; object (T,), existence and not a ghost; and
+    best (T,), the row of its most probable local hypothesis."""
 
     existence: FloatArray
+    object: FloatArray
     best: Index
 
 
@@ -27,10 +29,14 @@ def marginals(density: Density) -> Marginals:
     """Existence of every track summed over the global hypotheses, and its likeliest state."""
     local, tracks = density.local, len(density.track_id)
     mass = density.hypothesis_probability() * local.existence
-    existence = np.bincount(local.track, mass, minlength=tracks)
+    existence = summed(mass, local.track, tracks)
     order = np.lexsort((-mass, local.track))
     best = order[np.flatnonzero(np.diff(local.track[order], prepend=-1))]
-    return Marginals(np.minimum(existence, 1.0), best)
+    existence = existence.clip(max=1.0)
+    if local.kind is None or local.kind.shape[1] <= GHOST:
+        return Marginals(existence, existence, best)
+    real = summed(mass * local.kind[:, :GHOST].sum(axis=1), local.track, tracks)
+    return Marginals(existence, real.clip(max=existence), best)
 
 
 def best_hypothesis(density: Density, threshold: float = 0.4) -> Index:

@@ -77,83 +77,119 @@ struct Innovations {
     std::size_t count;
 };
 
-// All pairs below `threshold`, sorted by Gaussian, then measurement, with whitened innovations.
+// Calls visit(i, measurement, y0, y1) for every pair of squared distance below `threshold`, by
+// Gaussian, with the whitened innovation; a Gaussian's measurements come in no order.
+template <typename Visit>
+void each_gated(const Innovations& g, const double* z, std::size_t measurements, double threshold,
+                Visit visit) {
+    if (!measurements) return;
+    const Grid grid(z, measurements);
+    // The gate's ellipse touches its bounding box, so rounding gets a little room.
+    const double reach = std::sqrt(threshold) * (1 + 1e-9);
+    for (std::size_t i = 0; i < g.count; ++i) {
+        const double x = g.expected[2 * i], y = g.expected[2 * i + 1];
+        grid.in_box(x, y, reach * g.l11[i], reach * std::hypot(g.l21[i], g.l22[i]),
+                    [&](std::int64_t j) {
+                        const double y0 = (z[2 * j] - x) / g.l11[i];
+                        const double y1 = (z[2 * j + 1] - y - g.l21[i] * y0) / g.l22[i];
+                        if (y0 * y0 + y1 * y1 < threshold) visit(i, j, y0, y1);
+                    });
+    }
+}
+
+// All pairs, sorted by Gaussian, then measurement.
 inline void gate(const Innovations& g, const double* z, std::size_t measurements, double threshold,
                  std::vector<std::int64_t>& rows, std::vector<std::int64_t>& columns,
                  std::vector<double>& whitened) {
-    if (!measurements) return;
-    const Grid grid(z, measurements);
     struct Hit {
         std::int64_t measurement;
         double y0, y1;
     };
     std::vector<Hit> hits;
-    // The gate's ellipse touches its bounding box, so rounding gets a little room.
-    const double reach = std::sqrt(threshold) * (1 + 1e-9);
-    for (std::size_t i = 0; i < g.count; ++i) {
-        const double x = g.expected[2 * i], y = g.expected[2 * i + 1];
-        hits.clear();
-        grid.in_box(x, y, reach * g.l11[i], reach * std::hypot(g.l21[i], g.l22[i]),
-                    [&](std::int64_t j) {
-                        const double y0 = (z[2 * j] - x) / g.l11[i];
-                        const double y1 = (z[2 * j + 1] - y - g.l21[i] * y0) / g.l22[i];
-                        if (y0 * y0 + y1 * y1 < threshold) hits.push_back({j, y0, y1});
-                    });
+    std::size_t gaussian = 0;
+    const auto write_down = [&] {
         std::sort(hits.begin(), hits.end(),
                   [](const Hit& a, const Hit& b) { return a.measurement < b.measurement; });
         for (const auto& hit : hits) {
-            rows.push_back(static_cast<std::int64_t>(i));
+            rows.push_back(static_cast<std::int64_t>(gaussian));
             columns.push_back(hit.measurement);
             whitened.push_back(hit.y0);
             whitened.push_back(hit.y1);
         }
-    }
+        hits.clear();
+    };
+    each_gated(g, z, measurements, threshold,
+               [&](std::size_t i, std::int64_t j, double y0, double y1) {
+                   if (i != gaussian) write_down();
+                   gaussian = i;
+                   hits.push_back({j, y0, y1});
+               });
+    write_down();
 }
 
-// n mixtures of 4-dimensional Gaussians as one Gaussian each.  Pair p adds component[p], moved by
-// gain x whitened innovation, to the mixture target[p] (none below 0) with weight exp(log_weight).
-// Mixtures without a pair are left alone.
-struct Mixtures {
-    const std::int64_t *component, *target;
-    const double *log_weight, *whitened;
-    std::size_t pairs;
+// log of the sum, over the Gaussians in whose gate a measurement lies, of exp(log_height) times the
+// Gaussian's shape exp(-d^2 / 2); -inf where it lies in none.
+inline std::vector<double> log_density(const Innovations& g, const double* log_height,
+                                       const double* z, std::size_t measurements,
+                                       double threshold) {
+    constexpr double nothing = -std::numeric_limits<double>::infinity();
+    std::vector<double> top(measurements, nothing), sum(measurements, 0.0);
+    each_gated(g, z, measurements, threshold,
+               [&](std::size_t i, std::int64_t j, double y0, double y1) {
+                   const double value = log_height[i] - 0.5 * (y0 * y0 + y1 * y1);
+                   if (value == nothing) return;
+                   if (value > top[j]) {
+                       sum[j] = sum[j] * std::exp(top[j] - value) + 1;
+                       top[j] = value;
+                   } else {
+                       sum[j] += std::exp(value - top[j]);
+                   }
+               });
+    for (std::size_t j = 0; j < measurements; ++j) {
+        if (sum[j] > 0) top[j] += std::log(sum[j]);
+    }
+    return top;
+}
+
+// The Gaussians in whose gate each measurement lies, corrected by it and weighted by their share in
+// its density, as one Gaussian: mean (M,4) and cov (M,4,4).  A measurement that lies in no gate
+// keeps what is there.
+struct Corrected {
     const double *mean, *gain, *cov;
 };
 
-inline void fuse(const Mixtures& m, std::size_t count, double* mean, double* cov) {
-    std::vector<double> top(count, -std::numeric_limits<double>::infinity());
-    for (std::size_t p = 0; p < m.pairs; ++p) {
-        if (m.target[p] >= 0) top[m.target[p]] = std::max(top[m.target[p]], m.log_weight[p]);
-    }
-    const auto moved = [&m](std::size_t p, int i) {
-        const auto c = m.component[p];
-        const double* W = m.gain + 8 * c + 2 * i;
-        return m.mean[4 * c + i] + W[0] * m.whitened[2 * p] + W[1] * m.whitened[2 * p + 1];
-    };
-    std::vector<double> share(m.pairs, 0.0), total(count, 0.0);
-    for (std::size_t p = 0; p < m.pairs; ++p) {
-        const auto t = m.target[p];
-        if (t < 0) continue;
-        if (total[t] == 0) std::fill_n(mean + 4 * t, 4, 0.0);
-        share[p] = std::exp(m.log_weight[p] - top[t]);
-        total[t] += share[p];
-        for (int i = 0; i < 4; ++i) mean[4 * t + i] += share[p] * moved(p, i);
-    }
-    for (std::size_t t = 0; t < count; ++t) {
-        if (total[t] == 0) continue;
-        for (int i = 0; i < 4; ++i) mean[4 * t + i] /= total[t];
-        std::fill_n(cov + 16 * t, 16, 0.0);
-    }
-    for (std::size_t p = 0; p < m.pairs; ++p) {
-        const auto t = m.target[p];
-        if (t < 0) continue;
-        double apart[4];
-        for (int i = 0; i < 4; ++i) apart[i] = moved(p, i) - mean[4 * t + i];
-        const double* P = m.cov + 16 * m.component[p];
-        const double weight = share[p] / total[t];
-        for (int i = 0; i < 4; ++i) {
-            for (int j = 0; j < 4; ++j) {
-                cov[16 * t + 4 * i + j] += weight * (P[4 * i + j] + apart[i] * apart[j]);
+inline void fuse(const Innovations& g, const double* log_height, const Corrected& corrected,
+                 const double* z, std::size_t measurements, double threshold, double* mean,
+                 double* cov) {
+    const auto log_total = log_density(g, log_height, z, measurements, threshold);
+    // Moments about the measurement itself, at rest: near the mean, so that little cancels.
+    std::vector<double> first(4 * measurements, 0.0), second(16 * measurements, 0.0);
+    each_gated(g, z, measurements, threshold,
+               [&](std::size_t i, std::int64_t j, double y0, double y1) {
+                   const double share =
+                       std::exp(log_height[i] - 0.5 * (y0 * y0 + y1 * y1) - log_total[j]);
+                   double apart[4];
+                   for (int a = 0; a < 4; ++a) {
+                       const double* W = corrected.gain + 8 * i + 2 * a;
+                       apart[a] = corrected.mean[4 * i + a] + W[0] * y0 + W[1] * y1 -
+                                  (a < 2 ? z[2 * j + a] : 0.0);
+                       first[4 * j + a] += share * apart[a];
+                   }
+                   const double* P = corrected.cov + 16 * i;
+                   for (int a = 0; a < 4; ++a) {
+                       for (int b = 0; b < 4; ++b) {
+                           second[16 * j + 4 * a + b] +=
+                               share * (P[4 * a + b] + apart[a] * apart[b]);
+                       }
+                   }
+               });
+    for (std::size_t j = 0; j < measurements; ++j) {
+        if (!(log_total[j] > -std::numeric_limits<double>::infinity())) continue;
+        for (int a = 0; a < 4; ++a) {
+            mean[4 * j + a] = first[4 * j + a] + (a < 2 ? z[2 * j + a] : 0.0);
+            for (int b = 0; b < 4; ++b) {
+                cov[16 * j + 4 * a + b] =
+                    second[16 * j + 4 * a + b] - first[4 * j + a] * first[4 * j + b];
             }
         }
     }

@@ -30,12 +30,7 @@ def gate(
     """
     if compiled.native is not None:
         row, column, y = compiled.native.gate(
-            np.ascontiguousarray(innovation.expected),
-            innovation.l11,
-            innovation.l21,
-            innovation.l22,
-            np.ascontiguousarray(z),
-            threshold,
+            *innovation.columns(), np.ascontiguousarray(z), threshold
         )
         return row, column, y.reshape(-1, 2)
     if len(innovation.expected) * len(z) <= _DENSE_BELOW:

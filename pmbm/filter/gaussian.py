@@ -54,6 +54,10 @@ class Innovation:
     def take(self, rows: Index) -> Innovation:
         return Innovation(self.expected[rows], self.l11[rows], self.l21[rows], self.l22[rows])
 
+    def columns(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """The fields, C-ordered, as the compiled module takes them."""
+        return np.ascontiguousarray(self.expected), self.l11, self.l21, self.l22
+
     def log_norm(self) -> FloatArray:
         """(N,) log of the density's height: -log(2 pi) - log det(S) / 2."""
         return -_LOG_2PI - np.log(self.l11) - np.log(self.l22)

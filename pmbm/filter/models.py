@@ -13,6 +13,7 @@ from pmbm.filter.density import Index, Locals, Mixture
 from pmbm.types import FloatArray, Site
 
 if TYPE_CHECKING:
+    from pmbm.filter.marks import Visibility
     from pmbm.filter.occlusion import Shadows
 
 LEAST_VISIBLE_TO_BE_SEEN = 0.05
@@ -25,11 +26,14 @@ class Transition:
     """How a state moves over one interval, and how probably its object lives on.
 
     F (4,4), Q (4,4) over [x, y, vx, vy]; survival : P_S over the interval.
+    dt : s.  visibility : how the detector loses and finds objects meanwhile, or None.
     """
 
     F: FloatArray
     Q: FloatArray
     survival: float
+    dt: float = 0.0
+    visibility: Visibility | None = None
 
 
 def constant_velocity(dt: float, spectral_density: float) -> tuple[FloatArray, FloatArray]:
@@ -135,6 +139,7 @@ class Sensor:
     shadows : None where nothing hides anything.
     from_scores : None where P_D does not depend on a track's past scores.
     scaled_misses : the paper's rule for a miss (Sec. 2.6) in place of Bayes'.
+    visibility : None where misses do not come in runs.
     """
 
     R: FloatArray
@@ -144,6 +149,7 @@ class Sensor:
     shadows: Shadows | None = None
     from_scores: DetectionFromScores | None = None
     scaled_misses: bool = False
+    visibility: Visibility | None = None
 
     def detection_probability(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
         """(N,) P_D averaged over Gaussians (N,4), (N,4,4)."""
@@ -155,7 +161,11 @@ class Sensor:
     def of_tracks(self, local: Locals) -> tuple[FloatArray, FloatArray]:
         """P_D (H,) of local hypotheses, as misses and as detections count it: in the open, times
         the expected visible share, floored in the latter."""
-        own = self.detection if self.from_scores is None else self.from_scores.of(local.confidence)
+        own: FloatArray | float = self.detection
+        if self.visibility is not None and local.seen is not None:
+            own = self.visibility.mean_detection(local.seen)
+        elif self.from_scores is not None:
+            own = self.from_scores.of(local.confidence)
         in_the_open = own * self._share_in_view(local.mean, local.cov)
         if self.shadows is None:
             return in_the_open, in_the_open
@@ -173,6 +183,17 @@ class Sensor:
         left = 1 - r * P_D
         # Missing what exists and is always seen is impossible; its r stays a number all the same.
         return np.where(left > 0, r * (1 - P_D) / np.where(left > 0, left, 1.0), 0.0), left
+
+    def seen_usually(self, objects: int) -> FloatArray | None:
+        """P(seen) of objects that were never detected, taken to be what it is in the long run."""
+        if self.visibility is None:
+            return None
+        return np.full(objects, self.visibility.usual)
+
+    def seen_if_detected(self, seen: FloatArray | None) -> FloatArray | None:
+        if self.visibility is None or seen is None:
+            return seen
+        return self.visibility.if_detected(seen)
 
     def remembered(
         self, before: FloatArray | None, scores: FloatArray | None, measurement: Index

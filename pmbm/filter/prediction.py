@@ -25,8 +25,20 @@ def predict(density: Density, transition: Transition, birth: Mixture) -> Density
     return replace(
         density,
         undetected=Mixture.joined(survivors, birth),
-        local=replace(local, existence=local.existence * transition.survival, mean=mean, cov=cov),
+        local=replace(
+            local,
+            existence=local.existence * transition.survival,
+            mean=mean,
+            cov=cov,
+            seen=_seen(local.seen, transition),
+        ),
     )
+
+
+def _seen(seen: FloatArray | None, transition: Transition) -> FloatArray | None:
+    if seen is None or transition.visibility is None:
+        return seen
+    return transition.visibility.after(seen, transition.dt)
 
 
 def _moved(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmbm import compiled
 from pmbm.filter.clusters import factor, merge_equal, row_limit, split
 from pmbm.filter.density import Density, Globals, Index, Mixture, starts
 from pmbm.filter.gating import near
@@ -57,14 +58,12 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
     become one; clusters fall apart; the PPP is pruned and merged.
     """
     table = density.hypotheses
-    likely = _likely(table, limits.prune_hypothesis)
     cap = np.full(table.clusters, limits.max_hypotheses)
     if limits.clustering:
         cap = row_limit(table, limits.max_hypotheses)
-    capped = _best(table, likely, cap)
-    pruned = len(table) - int(likely.sum())
-    over = int(likely.sum()) - int(capped.sum())
-    density = replace(density, hypotheses=_keep(table, capped))
+    kept_rows, likely = _pruned(table, limits.prune_hypothesis, cap)
+    pruned, over = len(table) - likely, likely - len(kept_rows)
+    density = replace(density, hypotheses=kept_rows)
 
     density, recycled, tracks_capped, returned = _recycle(density, limits)
     before = len(density.hypotheses)
@@ -103,6 +102,15 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
 
 def _log(value: float) -> float:
     return float(np.log(value)) if value > 0 else -np.inf
+
+
+def _pruned(table: Globals, threshold: float, cap: Index) -> tuple[Globals, int]:
+    """The likely rows, at most `cap` (C,) of each cluster, and how many were likely."""
+    if compiled.native is not None:
+        kept, likely = compiled.native.prune(*table.columns(), _log(threshold), cap)
+        return Globals(*kept), likely
+    above = _likely(table, threshold)
+    return _keep(table, _best(table, above, cap)), int(above.sum())
 
 
 def _likely(table: Globals, threshold: float) -> np.ndarray:

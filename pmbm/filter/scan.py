@@ -17,6 +17,7 @@ class Scan:
     position (M,2); box (M,5) : z, length, width, height, yaw; label (M,) int8.
     evidence (M,K) or None : p(score, label | kind) / p(score, label | clutter) for the K kinds that
         an object may be of; None is a scan whose scores and labels say nothing.
+    kinds (K,) or None : shares of the kinds among objects detected for the first time.
     first (M,2) or None : factors on the density of first detections and on that of clutter, for
         the rule that lets a score speak there alone.
     confidence (M,) or None : in [0, 1], what a track remembers of its detections.
@@ -26,8 +27,16 @@ class Scan:
     box: FloatArray
     label: NDArray[np.int8]
     evidence: FloatArray | None = None
+    kinds: FloatArray | None = None
     first: FloatArray | None = None
     confidence: FloatArray | None = None
+
+    def kind_after(self, before: FloatArray, measurement: NDArray[np.intp]) -> FloatArray:
+        """P(kind) (n,K) after these measurements (n,), by Bayes' rule from (n,K) or (K,)."""
+        assert self.evidence is not None
+        joint = before * self.evidence[measurement]
+        total = joint.sum(axis=1, keepdims=True)
+        return np.divide(joint, total, out=before + np.zeros_like(joint), where=total > 0)
 
     def __len__(self) -> int:
         return len(self.position)

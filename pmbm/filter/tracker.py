@@ -6,12 +6,14 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmbm.errors import InputError
 from pmbm.filter.association import associate
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
 from pmbm.filter.estimation import marginals
+from pmbm.filter.marks import GHOST
 from pmbm.filter.models import (
     DetectionFromScores,
     Sensor,
@@ -28,7 +30,9 @@ from pmbm.filter.reduction import Limits, Reduced, reduce
 from pmbm.filter.scan import Scan
 from pmbm.filter.update import update
 from pmbm.score import ScoreModel
-from pmbm.types import Detections, FloatArray, Site, Tracks, vouched
+from pmbm.types import Detections, Site, Tracks, vouched
+
+_EVERYWHERE = "everywhere"
 
 
 class PMBMTracker:
@@ -63,13 +67,19 @@ class PMBMTracker:
         Raises InputError, the tracker unchanged, where time runs backwards.
         """
         config = self.config
+        everywhere = config.scores == _EVERYWHERE
         view = View.of(self.site, detections.sensor_pose)
         scan = self._scan(detections)
         if self.density is None:
             predicted = Density.initial(
                 self._spread(view, config.initial_objects),
                 clustering=config.clustering,
-                local=Locals.empty(config.history, config.detection_from_scores != "off"),
+                local=Locals.empty(
+                    config.history,
+                    confidence=self._from_scores is not None,
+                    kinds=len(config.kinds.birth) if config.kinds else int(everywhere),
+                    seen=config.visibility is not None,
+                ),
             )
         else:
             dt = self._elapsed(detections.time)
@@ -100,13 +110,18 @@ class PMBMTracker:
         """The measurements, with what their scores say under this configuration."""
         config = self.config
         scan = Scan.of(detections)
+        if config.kinds is not None:
+            scan = replace(
+                scan, evidence=config.kinds.evidence(detections), kinds=config.kinds.birth
+            )
         if config.scores == "ignore" and self._from_scores is None:
             return scan
-        given = scores_on(self._score_model.scale, detections)
+        given = self._score_model.read(detections)
         s = np.clip(self._score_model.evidence(given), 1e-3, 1 - 1e-3)
+        if config.scores == _EVERYWHERE:
+            scan = replace(scan, evidence=(s / (1 - s))[:, None], kinds=np.ones(1))
         return replace(
             scan,
-            evidence=(s / (1 - s))[:, None] if config.scores == "everywhere" else None,
             first=np.column_stack([2 * s, 2 * (1 - s)]) if config.scores == "first" else None,
             confidence=s if self._from_scores is not None else None,
         )
@@ -114,7 +129,8 @@ class PMBMTracker:
     def _transition(self, dt: float) -> Transition:
         config = self.config
         F, Q = constant_velocity(dt, config.spectral_density)
-        return Transition(F, Q, survival_over(dt, config.survival, config.survival_interval))
+        survival = survival_over(dt, config.survival, config.survival_interval)
+        return Transition(F, Q, survival, dt, config.visibility)
 
     def _births(self, view: View, dt: float) -> Mixture:
         config = self.config
@@ -135,10 +151,13 @@ class PMBMTracker:
         hides = config.occlusion and len(predicted.local) > 0
         return Sensor(
             R=config.measurement_sd**2 * np.eye(2),
-            detection=config.detection_probability,
+            detection=(
+                config.visibility.detection if config.visibility else config.detection_probability
+            ),
             clutter=config.clutter_rate / view.area,
             view=view,
             from_scores=self._from_scores,
+            visibility=config.visibility,
             scaled_misses=config.miss_rule == "scaled",
             shadows=Shadows.of(predicted, view.pose[:2], self.site.occluders) if hides else None,
         )
@@ -151,7 +170,7 @@ class PMBMTracker:
         """The tracks that probably exist and are probably in view.  One that has left the view is
         kept in mind, and reported again where it comes back."""
         marginal = marginals(density)
-        reported = np.flatnonzero(marginal.existence > self.config.report_above)
+        reported = np.flatnonzero(marginal.object > self.config.report_above)
         local = density.local.take(marginal.best[reported])
         inside = np.flatnonzero(view.share_inside(local.mean, local.cov) > 0.5)
         reported, local = reported[inside], local.take(inside)
@@ -163,11 +182,19 @@ class PMBMTracker:
             size=local.box[:, 1:4].copy(),
             yaw=local.box[:, 4].copy(),
             velocity=local.mean[:, 2:].copy(),
-            score=marginal.existence[reported],
-            label=local.label,
+            score=marginal.object[reported],
+            label=_labels(local),
             covariance=local.cov,
             undetected=density.undetected.public(),
         )
+
+
+def _labels(local: Locals) -> NDArray[np.int8]:
+    """The likeliest label of each row: by all of its detections where kinds are told apart, else
+    that of the last one."""
+    if local.kind is None or local.kind.shape[1] <= GHOST:
+        return local.label
+    return local.kind[:, :GHOST].argmax(axis=1).astype(np.int8)
 
 
 def _from_scores(config: PMBMConfig) -> DetectionFromScores | None:
@@ -179,19 +206,3 @@ def _from_scores(config: PMBMConfig) -> DetectionFromScores | None:
         config.detection_from_scores == "rising",
         config.newest_score,
     )
-
-
-def scores_on(scale: str, detections: Detections) -> FloatArray:
-    """The scores (N,) that a score model of this scale reads.
-
-    Raises InputError where it reads raw scores and the detections have none.
-    """
-    if scale == "score":
-        return detections.score
-    if detections.raw_score is None:
-        raise InputError(
-            "the score model reads raw scores, and the detections have none",
-            field="raw_score",
-            hint="fit a model to calibrated scores: scale = 'score'",
-        )
-    return detections.raw_score

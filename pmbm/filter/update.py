@@ -42,7 +42,7 @@ def update(density: Density, scan: Scan, association: Association, sensor: Senso
     used[table.member] = True
     renumber = np.cumsum(used) - 1
     local = Locals.joined(
-        _missed(density.local, association, np.flatnonzero(used[:H])),
+        _missed(density.local, association, sensor, np.flatnonzero(used[:H])),
         _detected(density.local, scan, association, sensor, np.flatnonzero(used[H : H + n])),
         _first_detected(density, scan, association, sensor, np.flatnonzero(used[H + n :])),
     )
@@ -60,6 +60,14 @@ def _hypotheses(association: Association, H: int) -> Globals:
     """The children as global hypotheses over the candidates: rows 0..H-1 missed, then the pairs,
     then the new tracks; weights of each cluster add up to one."""
     parents, children = association.parents, association.children
+    if compiled.native is not None:
+        made = children.parent, children.log_weight, children.taker, children.entry, children.pair
+        measurement = association.known.measurement
+        return Globals(
+            *compiled.native.extended(
+                *parents.columns(), *made, measurement, association.cluster, H
+            )
+        )
     n = len(association.known.row)
     members = np.diff(parents.start)[children.parent]
     first_member = starts(members)
@@ -119,11 +127,17 @@ def _still_undetected(ppp: Mixture, detection: FloatArray) -> Mixture:
         return Mixture(ppp.log_weight + np.log1p(-detection), ppp.mean, ppp.cov)
 
 
-def _missed(local: Locals, association: Association, rows: Index) -> Locals:
+def _missed(local: Locals, association: Association, sensor: Sensor, rows: Index) -> Locals:
     kept = local.take(rows)
+    seen = kept.seen
+    if seen is not None and sensor.visibility is not None:
+        in_the_open = sensor.visibility.mean_detection(seen)
+        in_sight = association.detection[rows] / np.where(in_the_open > 0, in_the_open, 1.0)
+        seen = sensor.visibility.if_missed(seen, in_sight)
     return replace(
         kept,
         existence=association.existence_if_missed[rows],
+        seen=seen,
         history=_remember(kept.history, np.full(len(rows), MISSED)),
     )
 
@@ -145,6 +159,8 @@ def _detected(
         scan.label[measurement],
         _remember(before.history, measurement),
         confidence=sensor.remembered(before.confidence, scan.confidence, measurement),
+        kind=None if before.kind is None else scan.kind_after(before.kind, measurement),
+        seen=sensor.seen_if_detected(before.seen),
     )
 
 
@@ -167,6 +183,8 @@ def _first_detected(
         scan.label[measurements],
         _remember(np.full((len(measurements), L), BEFORE, np.int32), measurements),
         confidence=None if scan.confidence is None else scan.confidence[measurements],
+        kind=None if scan.kinds is None else scan.kind_after(scan.kinds, measurements),
+        seen=sensor.seen_if_detected(sensor.seen_usually(len(measurements))),
     )
 
 
@@ -180,29 +198,23 @@ def _fused(
     mean[:, :2] = scan.position[measurements]
     cov = np.zeros((n, 4, 4))
     cov[:, :2, :2] = cov[:, 2:, 2:] = sensor.R
-    wanted = np.full(len(scan), -1, np.intp)
-    wanted[measurements] = np.arange(n)
-    pairs = association.undetected
-    target = wanted[pairs.measurement]
-    kept = np.flatnonzero(target >= 0)
-    if len(kept) and compiled.native is not None:
-        W = gain(ppp.cov, pairs.innovation)
-        after = corrected_cov(ppp.cov, W, sensor.R, pairs.innovation)
-        compiled.native.fuse(
-            pairs.row, target, pairs.log_weight, pairs.y, ppp.mean, W, after, mean, cov
-        )
-    elif len(kept):
-        kept = kept[np.argsort(target[kept], kind="stable")]
-        component, target = pairs.row[kept], target[kept]
-        innovation = pairs.innovation
-        W = gain(ppp.cov, innovation)
-        after = corrected_cov(ppp.cov, W, sensor.R, innovation)
+    priced = association.undetected
+    W = gain(ppp.cov, priced.innovation)
+    after = corrected_cov(ppp.cov, W, sensor.R, priced.innovation)
+    z = np.ascontiguousarray(scan.position[measurements])
+    if compiled.native is not None:
+        columns = *priced.innovation.columns(), priced.log_height
+        compiled.native.fuse(*columns, ppp.mean, W, after, z, priced.gate, mean, cov)
+        return mean, cov
+    pairs = priced.pairs(z)
+    if len(pairs.row):
+        order = np.argsort(pairs.measurement, kind="stable")
+        component, target = pairs.row[order], pairs.measurement[order]
         first = np.flatnonzero(np.diff(target, prepend=-1))
-        log_share = normalised(pairs.log_weight[kept], target)
         seen = target[first]
         mean[seen], cov[seen] = moments(
-            np.exp(log_share),
-            corrected_mean(ppp.mean[component], W[component], pairs.y[kept]),
+            np.exp(normalised(pairs.log_weight[order], target)),
+            corrected_mean(ppp.mean[component], W[component], pairs.y[order]),
             after[component],
             first,
         )

@@ -1,0 +1,176 @@
+"""Discrete marks of an object, filtered exactly like its existence: what kind it is, and whether
+the detector sees it at present.
+
+An object's kind never changes; each detection weighs it by what its score and label say.  Beside
+each label stands its ghost: a persistent source of clutter that looks like it, such as a pole that
+is reported as a pedestrian frame after frame.  Its existence is certain and it is no object, so
+what is reported is the probability of existing and of not being a ghost.
+
+Whether an object is seen is a two-state Markov chain, since misses come in runs: a parked van, a
+bad angle, a wet windscreen.  After a miss the object is probably still unseen, so the next miss
+says less about its existence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmbm.door import Door
+from pmbm.errors import InputError
+from pmbm.score import ScoreModel
+from pmbm.types import Detections, FloatArray, Label
+
+_LABELS = len(Label)
+GHOST = _LABELS
+"""First column of the ghosts among the kinds: the labels come first, then their ghosts."""
+_KINDS = 2 * _LABELS
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Kinds:
+    """What an object may be, and what each kind's detections look like.
+
+    birth (14,) : share of new sources of detections that are of each kind: the labels, then their
+        ghosts; adds up to one.
+    confusion (14,7) : P(reported label | kind), each row adding up to one.
+    clutter (7,) : P(reported label) of clutter that does not persist; adds up to one.
+    score, ghost_score : what a score says of an object, and of a ghost, against such clutter.
+    """
+
+    birth: FloatArray
+    confusion: FloatArray
+    clutter: FloatArray
+    score: ScoreModel
+    ghost_score: ScoreModel
+
+    def __post_init__(self) -> None:
+        door = Door(self, "kinds")
+        door.unit_interval("birth", _KINDS)
+        door.rows("confusion", _LABELS)
+        door.floats("confusion", (_KINDS, _LABELS))
+        door.unit_interval("clutter", _LABELS)
+        for name in ("birth", "confusion", "clutter"):
+            values = getattr(self, name)
+            if (values < 0).any() or np.abs(values.sum(axis=-1) - 1).max() > 1e-9:
+                raise InputError(
+                    "kinds", field=name, expected="shares that add up to one", got=values
+                )
+
+    @staticmethod
+    def neutral() -> Kinds:
+        """Labels and scores say nothing."""
+        return Kinds(
+            birth=np.full(_KINDS, 1 / _KINDS),
+            confusion=np.full((_KINDS, _LABELS), 1 / _LABELS),
+            clutter=np.full(_LABELS, 1 / _LABELS),
+            score=ScoreModel.uninformative(),
+            ghost_score=ScoreModel.uninformative(),
+        )
+
+    @staticmethod
+    def simple(
+        *,
+        ghosts: float,
+        score: ScoreModel,
+        mislabelled: float = 0.05,
+        ghost_score: ScoreModel | None = None,
+    ) -> Kinds:
+        """All labels equally frequent and equally often taken for each other.
+
+        ghosts : share of new sources that are ghosts, in [0, 1).  mislabelled : share of
+        detections with another label than the source's, in [0, 1).  Ghosts' scores are those of
+        clutter unless `ghost_score` says otherwise.
+        """
+        confusion = np.full((_KINDS, _LABELS), mislabelled / (_LABELS - 1))
+        np.fill_diagonal(confusion[:GHOST], 1 - mislabelled)
+        np.fill_diagonal(confusion[GHOST:], 1 - mislabelled)
+        birth = np.full(_KINDS, (1 - ghosts) / _LABELS)
+        birth[GHOST:] = ghosts / _LABELS
+        return Kinds(
+            birth=birth,
+            confusion=confusion,
+            clutter=np.full(_LABELS, 1 / _LABELS),
+            score=score,
+            ghost_score=ghost_score if ghost_score is not None else ScoreModel.uninformative(),
+        )
+
+    def evidence(self, detections: Detections) -> FloatArray:
+        """(M,14) p(score, label | kind) / p(score, label | clutter) of every detection."""
+        with np.errstate(divide="ignore"):
+            of_label = self.confusion[:, detections.label] / np.maximum(
+                self.clutter[detections.label], 1e-6
+            )
+        of_score = np.empty((_KINDS, len(detections)))
+        of_score[:GHOST] = np.exp(self.score.log_likelihood_ratio(self.score.read(detections)))
+        of_score[GHOST:] = np.exp(
+            self.ghost_score.log_likelihood_ratio(self.ghost_score.read(detections))
+        )
+        return np.ascontiguousarray((of_label * of_score).T)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Visibility:
+    """A two-state Markov chain: seen, or not seen for the time being.
+
+    detection_seen, detection_unseen : P_D in either state, in [0, 1].
+    stay_seen, stay_unseen : probability of staying in a state over `interval`, in (0, 1).
+    interval : s, > 0.
+    """
+
+    detection_seen: float
+    detection_unseen: float
+    stay_seen: float
+    stay_unseen: float
+    interval: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("detection_seen", "detection_unseen"):
+            value = getattr(self, name)
+            if not 0 <= value <= 1:
+                raise InputError("visibility", field=name, expected="in [0, 1]", got=value)
+        for name in ("stay_seen", "stay_unseen"):
+            value = getattr(self, name)
+            if not 0 < value < 1:
+                raise InputError("visibility", field=name, expected="in (0, 1)", got=value)
+        if self.stay_seen + self.stay_unseen < 1:
+            raise InputError(
+                "visibility",
+                field="stay_unseen",
+                expected="staying at least as probable as changing",
+                got=self.stay_unseen,
+            )
+        if not 0 < self.interval < np.inf:
+            raise InputError("visibility", field="interval", expected="> 0", got=self.interval)
+
+    @property
+    def usual(self) -> float:
+        """Long-run share of the time that an object is in the state seen."""
+        return (1 - self.stay_unseen) / (2 - self.stay_seen - self.stay_unseen)
+
+    @property
+    def detection(self) -> float:
+        """P_D of an object about which nothing else is known."""
+        return self.usual * self.detection_seen + (1 - self.usual) * self.detection_unseen
+
+    def after(self, seen: FloatArray, dt: float) -> FloatArray:
+        """P(seen) (H,) after `dt` seconds, from that before."""
+        memory = (self.stay_seen + self.stay_unseen - 1) ** (dt / self.interval)
+        return self.usual + (seen - self.usual) * memory
+
+    def mean_detection(self, seen: FloatArray) -> FloatArray:
+        """P_D (H,) in the open, given P(seen)."""
+        return seen * self.detection_seen + (1 - seen) * self.detection_unseen
+
+    def if_detected(self, seen: FloatArray) -> FloatArray:
+        """P(seen) (H,) of objects that were detected."""
+        chance = self.mean_detection(seen)
+        return np.divide(seen * self.detection_seen, chance, out=seen.copy(), where=chance > 0)
+
+    def if_missed(self, seen: FloatArray, in_sight: FloatArray) -> FloatArray:
+        """P(seen) (H,) of objects that exist and were missed; in_sight (H,) : share of P_D that
+        view and shadows leave."""
+        chance = 1 - in_sight * self.mean_detection(seen)
+        missed = seen * (1 - in_sight * self.detection_seen)
+        return np.divide(missed, chance, out=seen.copy(), where=chance > 0)

@@ -1,0 +1,269 @@
+// Tables of global hypotheses: extending them by a scan's associations, pruning and splitting them.
+// The plain versions, of the same names or named beside each function, are in association.py,
+// update.py, reduction.py, clusters.py and estimation.py, and say what is meant.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "assignment/k_best.hpp"
+
+namespace pmbm {
+
+using Ints = std::vector<std::int64_t>;
+using Floats = std::vector<double>;
+
+// Global hypotheses, sorted by cluster: row g is member[start[g]] to member[start[g + 1]].
+struct TableView {
+    const std::int64_t *cluster, *start, *member;
+    const double* log_weight;
+    std::int64_t rows;
+
+    std::int64_t clusters() const { return rows ? cluster[rows - 1] + 1 : 0; }
+    std::int64_t members() const { return start[rows]; }
+
+    // Calls visit(cluster, first row, last row + 1) for each cluster.
+    template <typename Visit>
+    void each_cluster(Visit visit) const {
+        for (std::int64_t first = 0, last = 0; first < rows; first = last) {
+            while (last < rows && cluster[last] == cluster[first]) ++last;
+            visit(cluster[first], first, last);
+        }
+    }
+};
+
+struct Table {
+    Ints cluster, start{0}, member;
+    Floats log_weight;
+
+    void close_row(std::int64_t of_cluster, double weight) {
+        cluster.push_back(of_cluster);
+        log_weight.push_back(weight);
+        start.push_back(static_cast<std::int64_t>(member.size()));
+    }
+};
+
+// Makes the weights of rows first to last - 1 add up to one.
+inline void normalise(double* log_weight, std::int64_t first, std::int64_t last) {
+    double top = -std::numeric_limits<double>::infinity();
+    for (auto g = first; g < last; ++g) top = std::max(top, log_weight[g]);
+    double total = 0;
+    for (auto g = first; g < last; ++g) total += std::exp(log_weight[g] - top);
+    const double shift = std::log(total);
+    for (auto g = first; g < last; ++g) log_weight[g] = log_weight[g] - top - shift;
+}
+
+// Gated pairs of a local hypothesis and a measurement, sorted by the former.
+struct PairsView {
+    const std::int64_t *row, *measurement;
+    const double* log_weight;
+    std::int64_t count;
+};
+
+struct ChildrenOf {
+    Ints parent, taker, entry, pair;
+    Floats log_weight;
+};
+
+// _children(): the best children of every parent.  `allowed` is for each row.
+inline ChildrenOf best_children(const TableView& parents, const PairsView& known,
+                                const double* log_missed, std::int64_t locals,
+                                const double* log_new, const std::int64_t* cluster_of,
+                                std::int64_t measurements, const double* allowed, double margin) {
+    Ints first_pair(static_cast<std::size_t>(locals) + 1, 0);
+    for (std::int64_t p = 0; p < known.count; ++p) ++first_pair[known.row[p] + 1];
+    for (std::int64_t i = 0; i < locals; ++i) first_pair[i + 1] += first_pair[i];
+    Floats new_by_cluster(static_cast<std::size_t>(parents.clusters()), 0.0);
+    for (std::int64_t m = 0; m < measurements; ++m) new_by_cluster[cluster_of[m]] += log_new[m];
+
+    struct Option {
+        std::int64_t measurement, entry, pair;
+    };
+    std::vector<Option> options;
+    Ints row, column;
+    Floats cost, costs;
+    ChildrenOf found;
+    KBest solver;
+    for (std::int64_t g = 0; g < parents.rows; ++g) {
+        const auto begin = parents.start[g], end = parents.start[g + 1];
+        double missed = 0;
+        options.clear();
+        for (auto entry = begin; entry < end; ++entry) {
+            const auto local = parents.member[entry];
+            missed += log_missed[local];
+            for (auto p = first_pair[local]; p < first_pair[local + 1]; ++p) {
+                options.push_back({known.measurement[p], entry, p});
+            }
+        }
+        std::sort(options.begin(), options.end(), [](const Option& a, const Option& b) {
+            return a.measurement != b.measurement ? a.measurement < b.measurement
+                                                  : a.entry < b.entry;
+        });
+        row.clear();
+        column.clear();
+        cost.clear();
+        std::int64_t rows = 0;
+        for (std::size_t i = 0; i < options.size(); ++i) {
+            const auto& o = options[i];
+            rows += i == 0 || o.measurement != options[i - 1].measurement;
+            row.push_back(rows - 1);
+            column.push_back(o.entry - begin);
+            const double missing = log_missed[parents.member[o.entry]];
+            cost.push_back(-(known.log_weight[o.pair] - missing - log_new[o.measurement]));
+        }
+        const double quota = std::ceil(allowed[g] * std::exp(parents.log_weight[g]) - 1e-9);
+        const auto before = found.taker.size();
+        const auto count = solver.choose(
+            {row.data(), column.data(), cost.data(), static_cast<std::int64_t>(options.size()), 0,
+             0, rows, 0, end - begin},
+            std::max<std::int64_t>(1, static_cast<std::int64_t>(quota)), margin, costs,
+            found.taker, found.pair);
+        for (auto i = before; i < found.pair.size(); ++i) {
+            const auto& option = options[static_cast<std::size_t>(found.pair[i])];
+            found.entry.push_back(option.entry);
+            found.pair[i] = option.pair;
+        }
+        const double base =
+            parents.log_weight[g] + missed + new_by_cluster[parents.cluster[g]];
+        for (auto child = costs.size() - static_cast<std::size_t>(count); child < costs.size();
+             ++child) {
+            found.parent.push_back(g);
+            found.log_weight.push_back(base - costs[child]);
+        }
+    }
+    return found;
+}
+
+struct ChildrenView {
+    const std::int64_t *parent, *taker, *entry, *pair;
+    const double* log_weight;
+    std::size_t count, uses;
+};
+
+// _hypotheses(): children as rows over the candidates.
+inline Table extended(const TableView& parents, const ChildrenView& children,
+                      const PairsView& known,
+                      const std::int64_t* cluster_of, std::int64_t measurements,
+                      std::int64_t locals) {
+    Ints first_of(static_cast<std::size_t>(parents.clusters()) + 1, 0);
+    for (std::int64_t m = 0; m < measurements; ++m) ++first_of[cluster_of[m] + 1];
+    for (std::size_t c = 1; c < first_of.size(); ++c) first_of[c] += first_of[c - 1];
+    Ints by_cluster(static_cast<std::size_t>(measurements)), next(first_of);
+    for (std::int64_t m = 0; m < measurements; ++m) by_cluster[next[cluster_of[m]]++] = m;
+
+    std::vector<unsigned char> taken(static_cast<std::size_t>(measurements), 0);
+    Table table;
+    std::size_t use = 0;
+    for (std::size_t child = 0; child < children.count; ++child) {
+        const auto g = children.parent[child], begin = parents.start[g];
+        const auto own = table.member.size(), first_use = use;
+        table.member.insert(table.member.end(), parents.member + begin,
+                            parents.member + parents.start[g + 1]);
+        for (; use < children.uses &&
+               children.taker[use] == static_cast<std::int64_t>(child);
+             ++use) {
+            table.member[own + static_cast<std::size_t>(children.entry[use] - begin)] =
+                locals + children.pair[use];
+            taken[known.measurement[children.pair[use]]] = 1;
+        }
+        const auto cluster = parents.cluster[g];
+        for (auto i = first_of[cluster]; i < first_of[cluster + 1]; ++i) {
+            if (!taken[by_cluster[i]]) {
+                table.member.push_back(locals + known.count + by_cluster[i]);
+            }
+        }
+        for (auto i = first_use; i < use; ++i) taken[known.measurement[children.pair[i]]] = 0;
+        table.close_row(cluster, children.log_weight[child]);
+    }
+    const TableView view{table.cluster.data(), table.start.data(), table.member.data(),
+                         table.log_weight.data(),
+                         static_cast<std::int64_t>(table.log_weight.size())};
+    view.each_cluster([&](std::int64_t, std::int64_t first, std::int64_t last) {
+        normalise(table.log_weight.data(), first, last);
+    });
+    return table;
+}
+
+// _likely(), _best() and _keep(): the rows above the threshold, at most `cap` of each cluster, and
+// its best one in any case.  `likely` is how many were above the threshold.
+inline Table pruned(const TableView& table, double log_threshold, const std::int64_t* cap,
+                    std::int64_t& likely) {
+    Table kept;
+    likely = 0;
+    Ints rows;
+    table.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
+        const double* weight = table.log_weight;
+        const double top = *std::max_element(weight + first, weight + last);
+        rows.clear();
+        for (auto g = first; g < last; ++g) {
+            if (weight[g] > log_threshold || weight[g] == top) rows.push_back(g);
+        }
+        likely += static_cast<std::int64_t>(rows.size());
+        if (static_cast<std::int64_t>(rows.size()) > cap[cluster]) {
+            std::stable_sort(rows.begin(), rows.end(), [&](std::int64_t a, std::int64_t b) {
+                return weight[a] > weight[b];
+            });
+            rows.resize(static_cast<std::size_t>(cap[cluster]));
+            std::sort(rows.begin(), rows.end());
+        }
+        const auto begin = static_cast<std::int64_t>(kept.log_weight.size());
+        for (const auto g : rows) {
+            kept.member.insert(kept.member.end(), table.member + table.start[g],
+                               table.member + table.start[g + 1]);
+            kept.close_row(cluster, weight[g]);
+        }
+        if (static_cast<std::int64_t>(rows.size()) < last - first) {
+            normalise(kept.log_weight.data(), begin,
+                      static_cast<std::int64_t>(kept.log_weight.size()));
+        }
+    });
+    return kept;
+}
+
+// split(): tracks that are certain in their cluster in clusters of their own.
+inline Table split(const TableView& table, std::int64_t locals) {
+    Ints times(static_cast<std::size_t>(locals), 0);
+    for (std::int64_t e = 0; e < table.members(); ++e) ++times[table.member[e]];
+    Table apart;
+    Ints alone;
+    std::int64_t open = 0;
+    table.each_cluster([&](std::int64_t, std::int64_t first, std::int64_t last) {
+        const auto certain = [&](std::int64_t e) { return times[table.member[e]] == last - first; };
+        for (auto e = table.start[first]; e < table.start[first + 1]; ++e) {
+            if (certain(e)) alone.push_back(table.member[e]);
+        }
+        bool is_open = false;
+        for (auto e = table.start[first]; e < table.start[last] && !is_open; ++e) {
+            is_open = !certain(e);
+        }
+        if (!is_open) return;
+        for (auto g = first; g < last; ++g) {
+            for (auto e = table.start[g]; e < table.start[g + 1]; ++e) {
+                if (!certain(e)) apart.member.push_back(table.member[e]);
+            }
+            apart.close_row(open, table.log_weight[g]);
+        }
+        ++open;
+    });
+    for (const auto member : alone) {
+        apart.member.push_back(member);
+        apart.close_row(open++, 0.0);
+    }
+    return apart;
+}
+
+// Density.hypothesis_probability(): the weight of all rows that each local hypothesis is part of.
+inline Floats probability(const TableView& table, std::int64_t locals) {
+    Floats sum(static_cast<std::size_t>(locals), 0.0);
+    for (std::int64_t g = 0; g < table.rows; ++g) {
+        const double weight = std::exp(table.log_weight[g]);
+        for (auto e = table.start[g]; e < table.start[g + 1]; ++e) sum[table.member[e]] += weight;
+    }
+    return sum;
+}
+
+}  // namespace pmbm
