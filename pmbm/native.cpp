@@ -9,6 +9,7 @@
 
 #include "assignment/k_best.hpp"
 #include "filter/gate.hpp"
+#include "filter/tables.hpp"
 
 namespace nb = nanobind;
 
@@ -80,27 +81,110 @@ nb::tuple k_best_choices(Input<std::int64_t> row, Input<std::int64_t> column, In
                           hand_over(std::move(takers)), hand_over(std::move(taken)));
 }
 
+pmbm::Innovations innovations(const Table<double>& expected, const Input<double>& l11,
+                              const Input<double>& l21, const Input<double>& l22) {
+    return {expected.data(), l11.data(), l21.data(), l22.data(), l11.size()};
+}
+
 nb::tuple gate(Table<double> expected, Input<double> l11, Input<double> l21, Input<double> l22,
                Table<double> z, double threshold) {
     std::vector<std::int64_t> rows, columns;
     std::vector<double> whitened;
     {
         nb::gil_scoped_release released;
-        pmbm::gate({expected.data(), l11.data(), l21.data(), l22.data(), l11.size()}, z.data(),
-                   z.shape(0), threshold, rows, columns, whitened);
+        pmbm::gate(innovations(expected, l11, l21, l22), z.data(), z.shape(0), threshold, rows,
+                   columns, whitened);
     }
     return nb::make_tuple(hand_over(std::move(rows)), hand_over(std::move(columns)),
                           hand_over(std::move(whitened)));
 }
 
-// Writes into mean (n,4) and cov (n,4,4).
-void fuse(Input<std::int64_t> component, Input<std::int64_t> target, Input<double> log_weight,
-          Table<double> whitened, Table<double> mean_of, Table<double> gain_of,
-          Table<double> cov_of, Written mean, Written cov) {
+Output<double> log_density(Table<double> expected, Input<double> l11, Input<double> l21,
+                           Input<double> l22, Input<double> log_height, Table<double> z,
+                           double threshold) {
+    return hand_over(pmbm::log_density(innovations(expected, l11, l21, l22), log_height.data(),
+                                       z.data(), z.shape(0), threshold));
+}
+
+// Writes into mean (M,4) and cov (M,4,4).
+void fuse(Table<double> expected, Input<double> l11, Input<double> l21, Input<double> l22,
+          Input<double> log_height, Table<double> mean_of, Table<double> gain_of,
+          Table<double> cov_of, Table<double> z, double threshold, Written mean, Written cov) {
     nb::gil_scoped_release released;
-    pmbm::fuse({component.data(), target.data(), log_weight.data(), whitened.data(),
-                component.size(), mean_of.data(), gain_of.data(), cov_of.data()},
-               mean.shape(0), mean.data(), cov.data());
+    pmbm::fuse(innovations(expected, l11, l21, l22), log_height.data(),
+               {mean_of.data(), gain_of.data(), cov_of.data()}, z.data(), z.shape(0), threshold,
+               mean.data(), cov.data());
+}
+
+pmbm::TableView view(const Input<std::int64_t>& cluster, const Input<double>& log_weight,
+                     const Input<std::int64_t>& start, const Input<std::int64_t>& member) {
+    return {cluster.data(), start.data(), member.data(), log_weight.data(),
+            static_cast<std::int64_t>(cluster.size())};
+}
+
+nb::tuple hand_over(pmbm::Table&& table) {
+    return nb::make_tuple(hand_over(std::move(table.cluster)),
+                          hand_over(std::move(table.log_weight)),
+                          hand_over(std::move(table.start)), hand_over(std::move(table.member)));
+}
+
+pmbm::PairsView pairs(const Input<std::int64_t>& row, const Input<std::int64_t>& measurement,
+                      const Input<double>& log_weight) {
+    return {row.data(), measurement.data(), log_weight.data(),
+            static_cast<std::int64_t>(row.size())};
+}
+
+nb::tuple best_children(Input<std::int64_t> cluster, Input<double> log_weight,
+                        Input<std::int64_t> start, Input<std::int64_t> member,
+                        Input<std::int64_t> row, Input<std::int64_t> measurement,
+                        Input<double> pair_log_weight, Input<double> log_missed,
+                        Input<double> log_new, Input<std::int64_t> cluster_of,
+                        Input<double> allowed, double margin) {
+    pmbm::ChildrenOf found;
+    {
+        nb::gil_scoped_release released;
+        found = pmbm::best_children(
+            view(cluster, log_weight, start, member), pairs(row, measurement, pair_log_weight),
+            log_missed.data(), static_cast<std::int64_t>(log_missed.size()), log_new.data(),
+            cluster_of.data(), static_cast<std::int64_t>(log_new.size()), allowed.data(), margin);
+    }
+    return nb::make_tuple(hand_over(std::move(found.parent)),
+                          hand_over(std::move(found.log_weight)),
+                          hand_over(std::move(found.taker)), hand_over(std::move(found.entry)),
+                          hand_over(std::move(found.pair)));
+}
+
+nb::tuple extended(Input<std::int64_t> cluster, Input<double> log_weight,
+                   Input<std::int64_t> start, Input<std::int64_t> member,
+                   Input<std::int64_t> parent, Input<double> child_log_weight,
+                   Input<std::int64_t> taker, Input<std::int64_t> entry, Input<std::int64_t> pair,
+                   Input<std::int64_t> measurement, Input<std::int64_t> cluster_of,
+                   std::int64_t locals) {
+    return hand_over(pmbm::extended(
+        view(cluster, log_weight, start, member),
+        {parent.data(), taker.data(), entry.data(), pair.data(), child_log_weight.data(),
+         parent.size(), taker.size()},
+        {nullptr, measurement.data(), nullptr, static_cast<std::int64_t>(measurement.size())},
+        cluster_of.data(), static_cast<std::int64_t>(cluster_of.size()), locals));
+}
+
+nb::tuple prune(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
+                Input<std::int64_t> member, double log_threshold, Input<std::int64_t> cap) {
+    std::int64_t likely = 0;
+    auto kept = pmbm::pruned(view(cluster, log_weight, start, member), log_threshold, cap.data(),
+                             likely);
+    return nb::make_tuple(hand_over(std::move(kept)), likely);
+}
+
+nb::tuple split(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
+                Input<std::int64_t> member, std::int64_t locals) {
+    return hand_over(pmbm::split(view(cluster, log_weight, start, member), locals));
+}
+
+Output<double> probability(Input<std::int64_t> cluster, Input<double> log_weight,
+                           Input<std::int64_t> start, Input<std::int64_t> member,
+                           std::int64_t locals) {
+    return hand_over(pmbm::probability(view(cluster, log_weight, start, member), locals));
 }
 
 }  // namespace
@@ -112,7 +196,11 @@ NB_MODULE(_native, m) {
           nb::arg("first_row"), nb::arg("first_column"), nb::arg("ks"), nb::arg("margin"));
     m.def("gate", &gate, nb::arg("expected"), nb::arg("l11"), nb::arg("l21"), nb::arg("l22"),
           nb::arg("z"), nb::arg("threshold"));
-    m.def("fuse", &fuse, nb::arg("component"), nb::arg("target"), nb::arg("log_weight"),
-          nb::arg("whitened"), nb::arg("mean_of"), nb::arg("gain_of"), nb::arg("cov_of"),
-          nb::arg("mean").noconvert(), nb::arg("cov").noconvert());
+    m.def("log_density", &log_density);
+    m.def("fuse", &fuse);
+    m.def("best_children", &best_children);
+    m.def("extended", &extended);
+    m.def("prune", &prune);
+    m.def("split", &split);
+    m.def("probability", &probability);
 }
