@@ -194,7 +194,7 @@ def _hota(work: _Work) -> _Tally:
     return _Tally(
         counts=asdict(hota_counts(work.scene, pairs, similarity)),
         series={},
-        parameters={"similarity": "max(0, 1 - d / similarity_zero)", "similarity_zero": zero_at},
+        parameters={"similarity_zero": zero_at, "distance": "xyz"},
     )
 
 

@@ -101,7 +101,9 @@ class Definition:
             variant=self.variant,
             value=None if undefined else float(outcome),  # type: ignore[arg-type]
             reason=outcome.reason if isinstance(outcome, Undefined) else None,
-            unit=self.unit,
+            unit=self.unit.replace("^p", f"^{parameters['order']:g}")
+            if "^p" in self.unit
+            else self.unit,
             direction=self.direction,
             scope=scope,
             parameters=parameters,
@@ -145,6 +147,15 @@ class MetricValue:
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         if self.series is not None:
             self.series.flags.writeable = False
+
+    @property
+    def rule(self) -> str:
+        """Whose rule, with which parameters, in one line."""
+        settings = ", ".join(
+            f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in self.parameters.items()
+        )
+        return f"{self.variant}: {settings}" if settings else self.variant
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {
@@ -216,7 +227,7 @@ class Evaluation(Mapping[str, MetricValue]):
                     _text(observable),
                     shown.unit,
                     "" if shown.direction == "none" else shown.direction,
-                    shown.variant,
+                    shown.rule,
                 )
             )
         widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
@@ -227,9 +238,11 @@ class Evaluation(Mapping[str, MetricValue]):
             ).rstrip()
             for row in rows
         ]
+        undefined: dict[str, list[str]] = {}
         for value in self.metrics:
-            if value.value is None:
-                lines.append(f"{value.name} is undefined: {value.reason}")
+            if value.reason is not None:
+                undefined.setdefault(value.reason, []).append(value.name)
+        lines += [f"undefined, {reason}: {', '.join(which)}" for reason, which in undefined.items()]
         return "\n".join(lines)
 
 
