@@ -118,6 +118,85 @@ def test_ties_in_place_and_distance():
     assert len(set(places)) < len(places)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_neighbours_among_equals(seed):
+    """Everybody's neighbours on every lane, with places shared to the bit, on bent and connected
+    lanes, as the stock search finds them."""
+    rng = np.random.default_rng(seed)
+    roads = {
+        "main": {"start": [0.0, 0.0], "end": [60.0, 12.0], "lanes": 3, "leads_to": "bend"},
+        "bend": {"centre": [50.0, 40.0], "radius": 30.0, "from_deg": -70.0, "to_deg": 60.0,
+                 "lanes": 2, "leads_to": "back"},
+        "back": {"start": [60.0, 70.0], "end": [-40.0, 60.0]},
+    }  # fmt: skip
+    opened = traffic.open_roads(road(roads=roads), 20, Streams(0))
+    network = opened.road.network
+    for lane_index in network.lanes_dict():
+        lane = network.get_lane(lane_index)
+        for along in rng.choice([3.0, 3.0, 11.0, 20.0, lane.length - 1, lane.length + 2], 4):
+            for aside in rng.choice([-2.5, 0.0, 2.5], 2):
+                kind = actors.Car if rng.random() < 0.7 else actors.Cruiser
+                opened.road.vehicles.append(kind(opened.road, lane.position(along, aside)))
+    opened.road.objects.append(highway.Obstacle(opened.road, opened.road.vehicles[3].position))
+    opened.road.objects.append(highway.Landmark(opened.road, opened.road.vehicles[5].position))
+    places = opened.road.places()
+    tied = 0
+    for column, lane_index in enumerate(opened.road.table.index):
+        line = fast_road._Line(opened.road, column, places)
+        tied += line.tied
+        everybody = np.arange(len(opened.road.vehicles))
+        fronts = line.fronts(everybody, places.along[everybody, column])
+        for row, vehicle in enumerate(opened.road.vehicles):
+            found = line.neighbours(row, float(places.along[row, column]))
+            things = [places.things[k] if k >= 0 else None for k in found]
+            expected = highway.Road.neighbour_vehicles(opened.road, vehicle, lane_index)
+            assert (things[0] is expected[0], things[1] is expected[1]) == (True, True)
+            assert fronts[row] == found[0]
+    assert tied >= 2
+
+
+def test_local_coordinates_and_headings_of_every_kind_of_lane():
+    rng = np.random.default_rng(0)
+    for env_id in ("roundabout-v1", "merge-v1", "intersection-v2", "u-turn-v1"):
+        opened = traffic.open_gymnasium(gymnasium(env_id), 20, Streams(0))
+        table = opened.road.table
+        position = rng.uniform(-120, 320, (40, 2))
+        heading = rng.uniform(-7, 7, 40)
+        along, aside = table.coordinates(position)
+        headings = table.headings(along)
+        closest = table.closest(along, aside, heading)
+        for row in range(len(position)):
+            for column, lane in enumerate(table.lanes):
+                s, r = lane.local_coordinates(position[row])
+                assert (along[row, column], aside[row, column]) == (s, r)
+                assert headings[row, column] == lane.heading_at(s)
+            stock_index = opened.road.network.get_closest_lane_index(position[row], heading[row])
+            assert table.index[closest[row]] == stock_index
+
+
+def test_slanted_lanes_with_limits_of_their_own(monkeypatch):
+    """Dot products whose last bit shows, and speed limits that a change of lane changes."""
+    plain = traffic.open_roads
+
+    def limited(form, rate, streams):
+        opened = plain(form, rate, streams)
+        for number, limit in enumerate((12.0, None, 25.0)):
+            opened.road.network.get_lane(("main.0", "main.end", number)).speed_limit = limit
+        return opened
+
+    monkeypatch.setattr(traffic, "open_roads", limited)
+    slanted = {"main": {"start": [3.0, 1.0], "end": [2000.0, 913.0], "lanes": 3}}
+    cars = {
+        f"lane{lane}": {"road": "main", "lane": lane, "position": 300.0, "speed": 12.0 + 4 * lane,
+                        "target_speed": 30.0, "count": 4, "spacing": -28.0, "lane_changes": True,
+                        "jitter": {"position": 6.0, "speed": 3.0}}
+        for lane in range(3)
+    }  # fmt: skip
+    for lane in range(3):
+        cars[f"lane{lane}"]["commands"] = [{"time": 0.7, "lane": (lane + 1) % 3}]
+    assert_equal(road(roads=slanted, actors=cars), seed=0, ticks=120)
+
+
 def test_lane_changes():
     slow = {
         "road": "main",
