@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Final
 
@@ -81,51 +81,53 @@ def observable_scene(scene: Scene, matches: Matches) -> Scene:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Work:
-    """A scene and its standard matching, made once for all metrics that need it."""
-
-    scene: Scene
-    parameters: MetricParameters
-
-    @cached_property
-    def matches(self) -> Matches:
-        return clear_matches(self.scene, self.parameters.gate)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
 class _Tally:
-    """What one group of metrics counted, and its per-frame series."""
+    """What one group of metrics counted, its per-frame series, and with which parameters."""
 
     counts: Mapping[str, Any]
     series: Mapping[str, FloatArray]
     parameters: Mapping[str, Any]
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Work:
+    """A scene, and what several metrics need of it, made once."""
+
+    scene: Scene
+    parameters: MetricParameters
+    tallies: dict[str, _Tally] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # Found once at the farthest that most of them look, and kept for the nearer.
+        self.scene.near(max(self.parameters.ospa_cutoff, self.parameters.gospa_cutoff))
+
+    @cached_property
+    def matches(self) -> Matches:
+        return clear_matches(self.scene, self.parameters.gate)
+
+    @cached_property
+    def observable(self) -> _Work:
+        if self.scene.truth.observable.all():
+            return self
+        return _Work(scene=observable_scene(self.scene, self.matches), parameters=self.parameters)
+
+    def tally(self, group: str) -> _Tally:
+        if group not in self.tallies:
+            self.tallies[group] = _GROUPS[group](self)
+        return self.tallies[group]
+
+
 def _values(
     scene: Scene, names: Iterable[str], parameters: MetricParameters
 ) -> tuple[MetricValue, ...]:
     everything = _Work(scene=scene, parameters=parameters)
-    # Found once at the farthest that any of them looks, and kept for the nearer.
-    scene.near(max(parameters.ospa_cutoff, parameters.gospa_cutoff))
-    observable: _Work | None = None
-    tallies: dict[tuple[str, bool], _Tally] = {}
     values = []
     for name in names:
         entry = catalogue.definition(name)
         narrowed = name.endswith(OBSERVABLE)
-        key = (entry.group, narrowed and entry.group not in _FOLLOW_OBJECTS)
-        if key not in tallies:
-            work = everything
-            if key[1] and not scene.truth.observable.all():
-                observable = observable or _Work(
-                    scene=observable_scene(scene, everything.matches), parameters=parameters
-                )
-                work = observable
-            elif key[1] and (entry.group, False) in tallies:
-                tallies[key] = tallies[entry.group, False]
-            if key not in tallies:
-                tallies[key] = _GROUPS[entry.group](work)
-        tally = tallies[key]
+        follows = entry.group in _FOLLOW_OBJECTS
+        work = everything.observable if narrowed and not follows else everything
+        tally = work.tally(entry.group)
         values.append(
             entry.value(
                 tally.counts,
@@ -149,9 +151,7 @@ def _gospa(work: _Work) -> _Tally:
 def _ospa(work: _Work) -> _Tally:
     p = work.parameters
     result = ospa_series(work.scene, p.ospa_cutoff, p.ospa_order)
-    return _framewise(
-        work, _series(result), cutoff=p.ospa_cutoff, order=p.ospa_order, distance="xy"
-    )
+    return _framewise(work, vars(result), cutoff=p.ospa_cutoff, order=p.ospa_order, distance="xy")
 
 
 def _ospa2(work: _Work) -> _Tally:
@@ -161,7 +161,7 @@ def _ospa2(work: _Work) -> _Tally:
     result = ospa2_series(work.scene, window, p.ospa_cutoff, p.ospa_order)
     return _framewise(
         work,
-        _series(result),
+        vars(result),
         cutoff=p.ospa_cutoff,
         order=p.ospa_order,
         window=p.ospa2_window,
@@ -327,10 +327,6 @@ _GROUPS: Final[Mapping[str, Callable[[_Work], _Tally]]] = {
 }
 _FOLLOW_OBJECTS: Final = ("objects", "occlusion")
 """Groups that follow objects in and out of sight, and so are the same for either scope."""
-
-
-def _series(result: Any) -> dict[str, FloatArray]:
-    return dict(vars(result))
 
 
 def _framewise(work: _Work, series: Mapping[str, FloatArray], **parameters: Any) -> _Tally:
