@@ -9,7 +9,7 @@ import numpy as np
 
 from pmbm import compiled
 from pmbm.filter.clusters import factor, merge_equal, row_limit, split
-from pmbm.filter.density import Density, Globals, Index, Mixture, starts
+from pmbm.filter.density import Density, Globals, Index, Mixture, starts, summed
 from pmbm.filter.gating import near
 from pmbm.filter.gaussian import moments
 from pmbm.filter.update import normalised
@@ -77,7 +77,7 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
         density = replace(density, hypotheses=apart)
     density = _compact(density)
 
-    ppp = Mixture.joined(density.undetected, returned)
+    ppp = Mixture.joined(density.undetected, returned) if len(returned) else density.undetected
     kept = ppp.take(np.flatnonzero(ppp.log_weight > _log(limits.prune_undetected)))
     joined, settled = kept, density.undetected_settled
     if len(kept) > 2 * settled + _FEW:
@@ -158,31 +158,34 @@ def _recycle(density: Density, limits: Limits) -> tuple[Density, int, int, Mixtu
     """
     local, table = density.local, density.hypotheses
     faint = local.existence < limits.recycle_below
-    tracks = len(density.track_id)
     capped = 0
     if len(local) > limits.max_tracks:
-        expected = np.bincount(
-            local.track, density.hypothesis_probability() * local.existence, minlength=tracks
-        )
-        alive = int(np.count_nonzero(np.bincount(local.track, minlength=tracks)))
-        if alive > limits.max_tracks:
-            weakest = np.argsort(-expected, kind="stable")[limits.max_tracks :]
-            surplus = np.zeros(tracks, bool)
-            surplus[weakest] = True
-            capped = int((surplus[local.track] & ~faint).sum())
-            faint = faint | surplus[local.track]
-    leaving = faint[table.member]
-    if not leaving.any():
+        surplus = _surplus_tracks(density, limits.max_tracks)[local.track]
+        capped = int((surplus & ~faint).sum())
+        faint = faint | surplus
+    staying = ~faint[table.member]
+    if staying.all():
         return density, 0, capped, Mixture.empty()
-    count = np.bincount(table.row_of_member()[~leaving], minlength=len(table))
-    emptied = Globals(table.cluster, table.log_weight, starts(count), table.member[~leaving])
-    rows = np.flatnonzero(faint & (density.hypothesis_probability() > 0))
+    before = starts(staying.astype(np.intp))
+    emptied = Globals(table.cluster, table.log_weight, before[table.start], table.member[staying])
+    probability = density.hypothesis_probability()
+    rows = np.flatnonzero(faint & (probability > 0))
     returned = Mixture.empty()
     if limits.recycle:
-        weight = density.hypothesis_probability()[rows] * local.existence[rows]
         with np.errstate(divide="ignore"):
-            returned = Mixture(np.log(weight), local.mean[rows], local.cov[rows])
+            log_weight = np.log(probability[rows] * local.existence[rows])
+        returned = Mixture(log_weight, local.mean[rows], local.cov[rows])
     return replace(density, hypotheses=emptied), len(rows), capped, returned
+
+
+def _surplus_tracks(density: Density, most: int) -> np.ndarray:
+    """(T,) the tracks of the lowest existence, beyond the `most` that may stay."""
+    local, tracks = density.local, len(density.track_id)
+    surplus = np.zeros(tracks, bool)
+    if np.count_nonzero(np.bincount(local.track, minlength=tracks)) > most:
+        existence = summed(density.hypothesis_probability() * local.existence, local.track, tracks)
+        surplus[np.argsort(-existence, kind="stable")[most:]] = True
+    return surplus
 
 
 def _compact(density: Density) -> Density:

@@ -81,29 +81,29 @@ PLANTS = [
     _filter(
         "recycled with the hypotheses' weight alone",
         "reduction",
-        "density.hypothesis_probability()[rows] * local.existence[rows]",
-        "density.hypothesis_probability()[rows]",
+        "probability[rows] * local.existence[rows]",
+        "probability[rows]",
     ),
     _filter(
         "recycled with r alone",
         "reduction",
-        "density.hypothesis_probability()[rows] * local.existence[rows]",
+        "probability[rows] * local.existence[rows]",
         "local.existence[rows]",
     ),
     _filter(
         "a pruned Bernoulli takes its hypotheses along",
         "reduction",
-        "    count = np.bincount(table.row_of_member()[~leaving], minlength=len(table))\n",
-        "    hit = np.bincount(table.row_of_member(), leaving, minlength=len(table)) > 0\n"
+        "    before = starts(staying.astype(np.intp))\n",
+        "    hit = np.bincount(table.row_of_member(), ~staying, minlength=len(table)) > 0\n"
         "    if not hit.all():\n"
         "        table = _keep(table, ~hit)\n"
-        "        leaving = np.zeros(len(table.member), bool)\n"
-        "    count = np.bincount(table.row_of_member()[~leaving], minlength=len(table))\n",
+        "        staying = np.ones(len(table.member), bool)\n"
+        "    before = starts(staying.astype(np.intp))\n",
     ),
     _filter(
         "no largest of an empty pool",
         "association",
-        "    if not len(pairs.row):\n        return pairs, np.full(len(z), -np.inf)\n",
+        "        if not len(pairs.row):\n            return np.full(len(z), -np.inf)\n",
         "",
     ),
     _filter(
