@@ -39,6 +39,8 @@ CURVE_METRICS = (
 )
 COMPONENTS = ("gospa_localisation", "gospa_missed", "gospa_false")
 ALPHA = 0.05
+SETTINGS_IN_FULL = 3
+"""With more settings, Markdown shows their leading metric alone."""
 
 
 @dataclass(frozen=True)
@@ -369,6 +371,8 @@ def _timings(study: StudyReport) -> tuple[tuple[str, str, str, str, str], ...]:
 def _markdown_tables(study: StudyReport, summaries: Sequence[Summary]) -> list[str]:
     first = summaries[0]
     measured = [m for m in MAIN_METRICS if m in first.metrics] or list(first.metrics)
+    if len(summaries) > SETTINGS_IN_FULL:
+        measured = measured[:1]
     header = ["setting", "metric", *first.trackers]
     header += [f"{tracker} − {first.reference}" for tracker in first.differences]
     rows = []

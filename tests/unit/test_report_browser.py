@@ -241,19 +241,41 @@ def test_dragging_pans_and_fit_comes_back(plain):
     assert pixels(plain) == before
 
 
-def test_hovering_tells_the_details(plain):
+def pointer_on_the_truck(driver):
+    """Moves the mouse onto object 11 in frame 40."""
     from selenium.webdriver import ActionChains
 
-    plain.execute_script("player.seek(40)")
-    settle(plain)
-    x, y = plain.execute_script(
+    x, y = driver.execute_script(
         "const d = player.data.truth, row = d.at[40].find((r) => d.ids[d.object[r]] === '11');"
         "const c = document.querySelector('.stage canvas');"
         "const [x, y] = player.camera.toScreen(d.x[row], d.y[row]);"
         "return [x - c.clientWidth / 2, y - c.clientHeight / 2]"
     )
-    canvas = plain.find_element("css selector", ".stage canvas")
-    ActionChains(plain).move_to_element_with_offset(canvas, int(x), int(y)).perform()
+    canvas = driver.find_element("css selector", ".stage canvas")
+    return ActionChains(driver).move_to_element_with_offset(canvas, int(x), int(y))
+
+
+def test_a_click_follows_an_object(plain):
+    plain.execute_script("player.seek(40)")
+    settle(plain)
+    middle = "return [player.camera.x, player.camera.y]"
+    before = plain.execute_script(middle)
+    pointer_on_the_truck(plain).click().perform()
+    plain.execute_script("player.seek(60)")
+    settle(plain)
+    x, y = plain.execute_script(middle)
+    # Its track is the truck's own place, which moves at 2 m/s, give or take .25 m a frame.
+    assert [x - before[0], y - before[1]] == pytest.approx([4.0, 0.0], abs=1.5)
+    click(plain, "[data-do=follow]")
+    plain.execute_script("player.seek(80)")
+    settle(plain)
+    assert plain.execute_script(middle) == [x, y]
+
+
+def test_hovering_tells_the_details(plain):
+    plain.execute_script("player.seek(40)")
+    settle(plain)
+    pointer_on_the_truck(plain).perform()
     settle(plain)
     text = plain.find_element("css selector", ".tip").text
     assert "track 11" in text

@@ -171,6 +171,10 @@ def test_markdown_is_for_a_pull_request():
     assert "| crossing | GOSPA ↓ |" in text
     assert "died \\| twice" in text
     assert "\n    pmbm study night.toml\n" in text
+    assert "| crossing | MOTA ↑ |" in text
+    many = study_markdown(study(*(cell(1.0, point={"rate": k}) for k in range(5))))
+    assert many.count("GOSPA ↓") == 5
+    assert "MOTA" not in many
     hostile = study_markdown(study(cell(1.0, scenario=HOSTILE), name=HOSTILE))
     assert "<img" not in hostile
     assert hostile.startswith("### ")

@@ -140,10 +140,25 @@ class Player {
     this.refresh();
   }
 
-  follow() {
-    const { state, camera, data } = this;
-    state.follow = state.follow === "sensor" ? "none" : "sensor";
-    this.offset = [camera.x - data.poses.x[state.frame], camera.y - data.poses.y[state.frame]];
+  // The button goes along with the sensor; a click on an object, with that object.
+  follow(whom = this.state.follow === "none" ? "sensor" : "none") {
+    this.state.follow = whom;
+    this.keepOffset();
+  }
+
+  // Where what is followed is now, or null: it is not there in every frame.
+  followed() {
+    const { state, data } = this;
+    if (state.follow === "none") return null;
+    if (state.follow === "sensor") return [data.poses.x[state.frame], data.poses.y[state.frame]];
+    const { table, object } = state.follow;
+    const row = table.at[state.frame].find((r) => table.object[r] === object);
+    return row === undefined ? null : [table.x[row], table.y[row]];
+  }
+
+  keepOffset() {
+    const place = this.followed();
+    if (place) this.offset = [this.camera.x - place[0], this.camera.y - place[1]];
   }
 
   measure(on) {
@@ -226,11 +241,9 @@ class Player {
   }
 
   zoom(factor, px, py) {
-    const { camera, state, data } = this;
-    camera.zoom(factor, px, py);
+    this.camera.zoom(factor, px, py);
     this.atHome = false;
-    // While the picture goes along with the sensor, it stays where it was put relative to it.
-    this.offset = [camera.x - data.poses.x[state.frame], camera.y - data.poses.y[state.frame]];
+    this.keepOffset();
     this.refresh();
   }
 
@@ -286,10 +299,8 @@ class Player {
 
   draw() {
     const { data, state, camera } = this;
-    if (state.follow === "sensor" && this.offset) {
-      camera.x = data.poses.x[state.frame] + this.offset[0];
-      camera.y = data.poses.y[state.frame] + this.offset[1];
-    }
+    const place = this.followed();
+    if (place) [camera.x, camera.y] = [place[0] + this.offset[0], place[1] + this.offset[1]];
     for (const { scene, tracker, caption } of this.views) {
       scene.draw(state, tracker);
       caption.textContent = this.caption(tracker);
@@ -299,7 +310,7 @@ class Player {
     const last = data.times[data.frames - 1];
     this.find(".clock").textContent = `${data.times[state.frame].toFixed(1)} / ${last.toFixed(1)} s`;
     this.find(".frame").textContent = `frame ${state.frame}`;
-    this.find("[data-do=follow]").setAttribute("aria-pressed", state.follow === "sensor");
+    this.find("[data-do=follow]").setAttribute("aria-pressed", state.follow !== "none");
   }
 
   caption(index) {
@@ -328,6 +339,7 @@ class Player {
       canvas.setPointerCapture(event.pointerId);
       this.root.focus({ preventScroll: true });
       down.set(event.pointerId, here(event));
+      this.dragged = false;
       this.corner = state.measuring ? camera.toWorld(...here(event)) : null;
     });
     canvas.addEventListener("pointermove", (event) => {
@@ -337,6 +349,8 @@ class Player {
       }
       const before = down.get(event.pointerId);
       const now = here(event);
+      if (now[0] === before[0] && now[1] === before[1]) return;
+      this.dragged = true;
       if (this.corner) {
         const [x, y] = camera.toWorld(...now);
         const [u, v] = this.corner;
@@ -357,6 +371,12 @@ class Player {
     for (const name of ["pointerup", "pointercancel"]) {
       canvas.addEventListener(name, (event) => down.delete(event.pointerId));
     }
+    canvas.addEventListener("click", (event) => {
+      const hit = state.hover;
+      if (state.measuring || !hit?.table.object || this.dragged) return;
+      this.follow({ table: hit.table, object: hit.table.object[hit.row] });
+      this.refresh();
+    });
     canvas.addEventListener("pointerleave", () => this.hover(canvas, tracker, -1e6, -1e6));
     canvas.addEventListener("dblclick", () => this.home());
     canvas.addEventListener("wheel", (event) => {
