@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Annotated
 
@@ -24,13 +24,15 @@ from sim.knobs import (
     NamedLabel,
     NumberOrCurve,
     Size,
+    Spread,
     check_bounds,
 )
 from sim.scene import Scene
-from sim.streams import Purpose, Streams, beta, normal
+from sim.streams import Purpose, Streams, beta, correlated, normal
 
 _SMALLEST_SIZE = 0.2
 
+_ALIGNED_SPREAD = 0.2
 _BLOCK = 16
 _CELL = 40.0
 _CELLS_A_SIDE = 2**20
@@ -50,14 +52,19 @@ class FalseBoxes:
     range_profile : curve over range (m): relative density per square metre.
     score_mean : mean of the confidence, a Beta variable.
     score_concentration : sum of both shapes of the Beta; larger is narrower.
-    size_spread : relative standard deviation of length, width and height about the typical ones.
+    size_spread : relative standard deviations of length, width and height about the typical ones.
+    size_correlation : correlation of these three errors.
+    aligned_share : of the boxes, the share that lies along or against the sensor's axis, as what
+        stands by a road does, give or take 0.2 rad; the others head anywhere.
     typical_size : length, width, height, m; where absent, the label's usual one.
     """
 
     range_profile: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ONE
     score_mean: Annotated[float, SHARE] = 0.3
     score_concentration: Annotated[float, POSITIVE] = 6.0
-    size_spread: Annotated[float, Bound(0.0, 0.5)] = 0.1
+    size_spread: Spread = (0.1, 0.1, 0.1)
+    size_correlation: Annotated[float, Bound(0.0, 0.999)] = 0.0
+    aligned_share: Annotated[float, SHARE] = 0.0
     typical_size: Size | None = None
 
     def __post_init__(self) -> None:
@@ -135,11 +142,11 @@ def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
     """
     rate = model.rate * (1.0 - model.persistent_share)
     reached = np.zeros(len(scene))
-    frames, marks = [np.zeros(0, np.int64)], [np.zeros((0, 9))]
+    frames, marks = [np.zeros(0, np.int64)], [np.zeros((0, 11))]
     block = 0
     while len(scene) and reached.min() < rate:
-        draws = streams.uniforms(Purpose.CLUTTER, len(scene), 9 * _BLOCK, block)
-        draws = draws.reshape(len(scene), _BLOCK, 9)
+        draws = streams.uniforms(Purpose.CLUTTER, len(scene), 11 * _BLOCK, block)
+        draws = draws.reshape(len(scene), _BLOCK, 11)
         level = reached[:, None] + np.cumsum(-np.log(draws[..., 0]), axis=1)
         frame, mark = np.nonzero(level < rate)
         frames.append(frame)
@@ -147,16 +154,16 @@ def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
         reached = level[:, -1]
         block += 1
     frame = np.concatenate(frames)
-    _, along, around, yaw, label_draw, *size, score = np.concatenate(marks).T
+    _, along, around, label_draw, score, *look = np.concatenate(marks).T
     pose = scene.sensor_pose[frame]
-    label = _labels(model, label_draw)
+    label = _labels(list(model.labels.items()), label_draw)
     distance = np.zeros(len(frame))
     for kind in model.labels:
         rows = label == kind
         distance[rows] = _range_quantile(model.of(kind).range_profile, scene.site, along[rows])
     bearing = pose[:, 2] + scene.site.fov_centre + scene.site.fov_half_angle * (2 * around - 1)
     centre = pose[:, :2] + distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-    return _false_boxes(model, frame, centre, 2 * np.pi * yaw - np.pi, label, size, score)
+    return _false_boxes(model, frame, centre, pose[:, 2], label, np.stack(look, axis=1), score)
 
 
 def _persistent(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
@@ -165,33 +172,54 @@ def _persistent(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
     The places of each square cell of the world are the points of one process that a higher density
     only adds to, so that they stay where they are whatever the sensor's path.
     """
-    site = scene.site
-    area = site.fov_half_angle * site.max_range**2
-    per_cell = _CELL**2 * model.rate * model.persistent_share / (area * model.persistent_detection)
+    rate = model.rate * model.persistent_share / model.persistent_detection
+    total = sum(model.labels.values())
+    weights = [
+        (kind, share / total / _effective_area(model.of(kind).range_profile, scene.site))
+        for kind, share in model.labels.items()
+    ]
+    per_cell = _CELL**2 * rate * sum(weight for _, weight in weights)
     parts = [Boxes.none()]
     for column, row in _cells(scene):
         cell = (column + _CELLS_A_SIDE // 2) * _CELLS_A_SIDE + row + _CELLS_A_SIDE // 2
         for number, place in enumerate(_places(per_cell, streams, cell)):
             centre = _CELL * (np.array([column, row]) + place[1:3])
-            distance, bearing = polar(np.broadcast_to(centre, (len(scene), 2)), scene.sensor_pose)
-            draws = streams.uniforms(Purpose.PLACE_SEEN, len(scene), 5, cell * 2**20 + number)
-            frame = np.flatnonzero(
-                in_view(site, distance, bearing - scene.sensor_pose[:, 2])
-                & (draws[:, 0] < model.persistent_detection)
-            )
-            noise = normal(draws[frame, 1:4])
-            parts.append(
-                _false_boxes(
-                    model,
-                    frame,
-                    centre + model.persistent_noise * noise[:, :2],
-                    wrap_angle(2 * np.pi * place[3] - np.pi + 0.1 * noise[:, 2]),
-                    _labels(model, np.full(len(frame), place[4])),
-                    [np.full(len(frame), draw) for draw in place[5:8]],
-                    draws[frame, 4],
-                )
-            )
+            label = _labels(weights, place[3:4])
+            key = cell * 2**20 + number
+            parts.append(_boxes_of_place(model, scene, streams, key, centre, label, place[4:]))
     return concatenate(parts)
+
+
+def _boxes_of_place(
+    model: ClutterModel,
+    scene: Scene,
+    streams: Streams,
+    key: int,
+    centre: FloatArray,
+    label: IntArray,
+    look: FloatArray,
+) -> Boxes:
+    """The boxes that one place gives in the frames in which it is in view."""
+    distance, bearing = polar(np.broadcast_to(centre, (len(scene), 2)), scene.sensor_pose)
+    seen, *noise, score = streams.uniforms(Purpose.PLACE_SEEN, len(scene), 5, key).T
+    profile = model.of(Label(label[0])).range_profile
+    probability = model.persistent_detection * profile(distance) / max(profile.value)
+    frame = np.flatnonzero(
+        in_view(scene.site, distance, bearing - scene.sensor_pose[:, 2]) & (seen < probability)
+    )
+    error = normal(np.stack(noise, axis=1)[frame])
+    # What a place looks like, it looks like from wherever it is met first.
+    axis = scene.sensor_pose[frame[:1], 2]
+    boxes = _false_boxes(
+        model,
+        frame,
+        centre + model.persistent_noise * error[:, :2],
+        np.broadcast_to(axis, len(frame)) if len(frame) else axis,
+        np.broadcast_to(label, len(frame)),
+        np.broadcast_to(look, (len(frame), len(look))),
+        score[frame],
+    )
+    return replace(boxes, yaw=wrap_angle(boxes.yaw + 0.1 * error[:, 2]))
 
 
 def _cells(scene: Scene) -> Iterator[tuple[int, int]]:
@@ -205,10 +233,10 @@ def _cells(scene: Scene) -> Iterator[tuple[int, int]]:
 
 
 def _places(per_cell: float, streams: Streams, cell: int) -> FloatArray:
-    """Marks (P,8) of the places of one cell, of which there are `per_cell` on average."""
+    """Marks (P,10) of the places of one cell, of which there are `per_cell` on average."""
     count = 4
     while True:
-        marks = streams.uniforms(Purpose.PLACE, count, 8, cell)
+        marks = streams.uniforms(Purpose.PLACE, count, 10, cell)
         level = np.cumsum(-np.log(marks[:, 0]))
         if level[-1] >= per_cell:
             return marks[level < per_cell]
@@ -225,10 +253,18 @@ def _range_quantile(profile: Curve, site: Site, share: FloatArray) -> FloatArray
     return np.interp(share * mass[-1], mass, edge)
 
 
-def _labels(model: ClutterModel, draw: FloatArray) -> IntArray:
-    """Labels (R,) by their relative frequency."""
-    names = np.array([int(label) for label in model.labels])
-    cumulative = np.cumsum(list(model.labels.values()))
+def _effective_area(profile: Curve, site: Site) -> float:
+    """Area of the field of view, each square metre weighed by the profile over its peak, m^2."""
+    edge = np.linspace(0.0, site.max_range, 513)
+    middle = (edge[1:] + edge[:-1]) / 2
+    mean = np.average(profile(middle), weights=middle) / max(profile.value)
+    return float(site.fov_half_angle * site.max_range**2 * mean)
+
+
+def _labels(weights: Sequence[tuple[Label, float]], draw: FloatArray) -> IntArray:
+    """Labels (R,) by their relative weights."""
+    names = np.array([int(label) for label, _ in weights])
+    cumulative = np.cumsum([weight for _, weight in weights])
     return names[np.searchsorted(cumulative, draw * cumulative[-1], side="right")]
 
 
@@ -236,25 +272,32 @@ def _false_boxes(
     model: ClutterModel,
     frame: IntArray,
     centre: FloatArray,
-    yaw: FloatArray,
+    axis: FloatArray,
     label: IntArray,
-    size_draws: list[FloatArray],
+    draws: FloatArray,
     score_draw: FloatArray,
 ) -> Boxes:
-    size, score = np.zeros((len(frame), 3)), np.zeros(len(frame))
-    error = normal(np.stack(size_draws, axis=1))
+    """Boxes at centres (R,2); `axis` (R,) is where the sensor heads, `draws` (R,6) are uniforms of
+    the heading (two) and the size (four)."""
+    size, score, yaw = np.zeros((len(frame), 3)), np.zeros(len(frame)), np.zeros(len(frame))
     for kind in model.labels:
         rows, look = label == kind, model.of(kind)
         typical = np.array(look.typical_size or TYPICAL_SIZE[kind])
-        size[rows] = np.maximum(typical * (1 + look.size_spread * error[rows]), _SMALLEST_SIZE)
+        error = correlated(normal(draws[rows, 2:]), look.size_correlation)
+        size[rows] = np.maximum(typical * (1 + np.array(look.size_spread) * error), _SMALLEST_SIZE)
         mean = np.full(np.count_nonzero(rows), look.score_mean)
         score[rows] = beta(score_draw[rows], mean, look.score_concentration)
+        aligned = draws[rows, 0] < look.aligned_share
+        # One draw gives both which way along the axis and how far off it.
+        way, off = np.divmod(2 * draws[rows, 1], 1.0)
+        along = axis[rows] + np.pi * way + _ALIGNED_SPREAD * normal(np.maximum(off, 2.0**-53))
+        yaw[rows] = np.where(aligned, along, 2 * np.pi * draws[rows, 1] - np.pi)
     return Boxes(
         frame=frame,
         origin=np.full(len(frame), CLUTTER),
         position=np.concatenate([centre, size[:, 2:] / 2], axis=1),
         size=size,
-        yaw=yaw,
+        yaw=wrap_angle(yaw),
         score=score,
         label=label,
     )

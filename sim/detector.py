@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
+from scipy import special
 
 from pmbm.errors import InputError, nearest_hint
 from pmbm.labels import Label
@@ -41,6 +42,7 @@ class DetectorModel:
     score_temperature, score_offset : miscalibration of all scores: the log-odds of a score are
         divided by the temperature (above 1 is too timid, below 1 too bold), then the offset is
         added.
+    score_floor : no box is reported with less; scores are squeezed into what is above it.
     provenance : where the numbers come from.
     """
 
@@ -51,6 +53,7 @@ class DetectorModel:
     sensor: SensorModel = field(default_factory=SensorModel)
     score_temperature: Annotated[float, POSITIVE] = 1.0
     score_offset: Annotated[float, Bound()] = 0.0
+    score_floor: Annotated[float, Bound(0.0, 0.99)] = 0.0
     provenance: str = ""
 
     def __post_init__(self) -> None:
@@ -87,7 +90,7 @@ class DetectorModel:
         )
         if self.sensor.outage_duration > 0:
             boxes = boxes.take(~blind(self.sensor, scene, boxes))
-        boxes = replace(boxes, score=self._miscalibrated(boxes.score))
+        boxes = replace(boxes, score=self._as_reported(boxes.score))
         pose = scene.sensor_pose
         if self.sensor.ego_position_noise > 0 or self.sensor.ego_yaw_noise > 0:
             pose = reported_pose(self.sensor, scene, streams)
@@ -122,12 +125,11 @@ class DetectorModel:
         position[:, :2] += late[:, None] * seen.velocity
         return replace(seen, position=position)
 
-    def _miscalibrated(self, score: FloatArray) -> FloatArray:
-        if self.score_temperature == 1.0 and self.score_offset == 0.0:
-            return score
-        inner = np.clip(score, 1e-12, 1 - 1e-12)
-        log_odds = np.log(inner / (1 - inner)) / self.score_temperature + self.score_offset
-        return 1 / (1 + np.exp(-log_odds))
+    def _as_reported(self, score: FloatArray) -> FloatArray:
+        if self.score_temperature != 1.0 or self.score_offset != 0.0:
+            inner = np.clip(score, 1e-12, 1 - 1e-12)
+            score = special.expit(special.logit(inner) / self.score_temperature + self.score_offset)
+        return self.score_floor + (1.0 - self.score_floor) * score
 
     def plain(self) -> dict[str, Any]:
         """The model as a profile file says it: `load_profile` of it gives the model back."""
@@ -136,6 +138,7 @@ class DetectorModel:
             "provenance": self.provenance,
             "score_temperature": self.score_temperature,
             "score_offset": self.score_offset,
+            "score_floor": self.score_floor,
             "objects": _plain(self.objects),
             "label": _plain_by_label(self.label, self.objects),
             "clutter": _plain(self.clutter),

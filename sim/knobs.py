@@ -59,6 +59,8 @@ POSITIVE = Bound(above=0.0)
 
 Size = Annotated[tuple[float, float, float], POSITIVE]
 """Length, width, height, m."""
+Spread = Annotated[tuple[float, float, float], Bound(0.0, 0.5)]
+"""Relative standard deviations of length, width, height."""
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from sim.knobs import (
     Size,
     check_bounds,
 )
-from sim.streams import Purpose, Streams, beta, cumulative_normal, normal
+from sim.streams import Purpose, Streams, beta, correlated, cumulative_normal, normal
 
 _SMALLEST_SHARE_OF_SIZE = 0.2
 """Noise never makes a box smaller than this share of the object."""
@@ -58,6 +58,7 @@ class ObjectModel:
     near_side_anchor : how far the centre moves toward the visible side when pull and bias shrink
         the box: 0 keeps the centre, 1 keeps the corner nearest to the sensor.
     length_noise, width_noise, height_noise : standard deviation, m.
+    size_correlation : correlation of these three errors.
     yaw_noise : standard deviation, rad.
     flip_probability : of a heading turned by pi.
     error_persistence : correlation of the errors of centre, size and heading (but for flips) from
@@ -92,6 +93,7 @@ class ObjectModel:
     length_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     width_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     height_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
+    size_correlation: Annotated[float, Bound(0.0, 0.999)] = 0.0
     yaw_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     flip_probability: Annotated[float, SHARE] = 0.0
     error_persistence: Annotated[float, Bound(0.0, 0.999)] = 0.0
@@ -143,7 +145,7 @@ def sense(model: ObjectModel, seen: Targets, streams: Streams) -> Boxes:
     errors = np.concatenate(
         [
             members.normals(streams, Purpose.POSITION, 3, steady),
-            members.normals(streams, Purpose.SIZE, 3, steady),
+            correlated(members.normals(streams, Purpose.SIZE, 4, steady), model.size_correlation),
             members.normals(streams, Purpose.HEADING, 1, steady),
         ],
         axis=1,

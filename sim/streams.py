@@ -111,6 +111,12 @@ def normal(uniform: FloatArray) -> FloatArray:
     return value
 
 
+def correlated(values: FloatArray, correlation: float) -> FloatArray:
+    """Standard normals (R,3), every two of this correlation, from independent ones (R,4)."""
+    common = np.sqrt(correlation) * values[:, :1]
+    return common + np.sqrt(1.0 - correlation) * values[:, 1:]
+
+
 def cumulative_normal(value: FloatArray) -> FloatArray:
     """Uniforms in (0, 1) of standard normal values."""
     uniform: FloatArray = np.clip(special.ndtr(value), _SMALLEST, 1.0 - 2 * _SMALLEST)

@@ -87,12 +87,19 @@ def test_clutter_has_the_labels_sizes_and_scores_it_should():
 
 def test_false_boxes_of_a_label_can_be_of_their_own_kind():
     walking = {"range_profile": {"at": [20.0, 20.1], "value": [1.0, 0.0]}, "score_mean": 0.6}
+    walking |= {"typical_size": [1.0, 1.0, 2.0], "size_spread": [0.0, 0.0, 0.0]}
     knobs = {
         "rate": 5.0,
         "labels": {"car": 1.0, "pedestrian": 1.0},
         "score_mean": 0.2,
         "score_concentration": 5.0,
-        "label": {"pedestrian": {**walking, "typical_size": [1.0, 1.0, 2.0], "size_spread": 0.0}},
+        "label": {
+            "pedestrian": {
+                **walking,
+                "typical_size": [1.0, 1.0, 2.0],
+                "size_spread": [0.0, 0.0, 0.0],
+            }
+        },
     }
     found = clutter(record(NOBODY, clutter=knobs))
     distance, _ = polar(NOBODY, found)
@@ -102,6 +109,43 @@ def test_false_boxes_of_a_label_can_be_of_their_own_kind():
     np.testing.assert_array_equal(found["size"][foot], np.tile([1, 1, 2], (foot.sum(), 1)))
     assert stats.kstest(found["score"][foot], stats.beta(3, 2).cdf).pvalue > ALPHA
     assert stats.kstest(found["score"][~foot], stats.beta(1, 4).cdf).pvalue > ALPHA
+
+
+def test_false_boxes_may_lie_along_the_sensors_axis_and_be_larger_or_smaller_as_a_whole():
+    knobs = {"rate": 5.0, "aligned_share": 0.6, "size_correlation": 0.7}
+    found = clutter(record(NOBODY, clutter=knobs))
+    aside = np.abs(wrap_angle(2 * (found["yaw"] - NOBODY.sensor_pose[0, 2]))) / 2
+    spread = 2 * stats.norm.cdf(0.4 / 0.2) - 1  # within 0.4 rad, whichever way
+    share = 0.6 * spread + 0.4 * 0.8 / np.pi
+    assert stats.binomtest(int((aside < 0.4).sum()), len(aside), share).pvalue > ALPHA
+    ahead = np.abs(wrap_angle(found["yaw"] - NOBODY.sensor_pose[0, 2])) < np.pi / 2
+    assert stats.binomtest(int(ahead.sum()), len(ahead), 0.5).pvalue > ALPHA
+    error = (found["size"] / np.array(TYPICAL_SIZE[Label.CAR]) - 1) / 0.1
+    np.testing.assert_allclose(np.corrcoef(error.T)[np.triu_indices(3, 1)], 0.7, atol=0.04)
+    assert stats.kstest(error[:, 1], "norm").pvalue > ALPHA
+
+
+def test_persistent_clutter_follows_the_profile_over_range_too():
+    stands = 150
+    pose = np.zeros((stands, 3))
+    pose[:, 0] = 300.0 * np.arange(stands)
+    scene = replace(still([], frames=stands), sensor_pose=pose)
+    knobs = {
+        "rate": 6.0,
+        "persistent_share": 1.0,
+        "persistent_noise": 0.0,
+        "labels": {"car": 1.0, "pedestrian": 2.0},
+        "label": {"pedestrian": {"range_profile": {"at": [0.0, 50.0], "value": [1.0, 0.0]}}},
+    }
+    found = clutter(record(scene, clutter=knobs))
+    distance, _ = polar(scene, found)
+    foot = found["label"] == Label.PEDESTRIAN
+    for rows, rate in ((foot, 4.0), (~foot, 2.0)):
+        low, high = stats.poisson.ppf([ALPHA / 2, 1 - ALPHA / 2], rate * stands)
+        assert low <= rows.sum() <= high
+    assert stats.kstest(np.square(distance[~foot] / 100), "uniform").pvalue > ALPHA
+    r = np.minimum(distance[foot], 50.0)
+    assert stats.kstest((r**2 / 2 - r**3 / 150) / (50**2 / 6), "uniform").pvalue > ALPHA
 
 
 def test_persistent_clutter_keeps_its_places_and_the_mean_rate():

@@ -320,3 +320,12 @@ def test_sizes_are_pulled_toward_the_typical_one():
     usual = pairs(record(scene, size_pull=1.0))
     np.testing.assert_allclose(usual["size"], np.tile(TYPICAL_SIZE[Label.CAR], (len(MANY), 1)))
     np.testing.assert_array_equal(usual["position"], usual["true_position"])
+
+
+def test_errors_of_size_are_correlated_as_said_and_keep_their_spread():
+    knobs = {"length_noise": 0.3, "width_noise": 0.1, "height_noise": 0.2}
+    seen = pairs(record(still(MANY), size_correlation=0.6, **knobs))
+    error = seen["size"] - seen["true_size"]
+    for axis, deviation in enumerate((0.3, 0.1, 0.2)):
+        assert same_spread(error[:, axis], deviation)
+    np.testing.assert_allclose(np.corrcoef(error.T)[np.triu_indices(3, 1)], 0.6, atol=0.02)

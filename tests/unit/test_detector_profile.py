@@ -117,11 +117,11 @@ def test_a_curve_is_linear_between_and_constant_beyond():
 
 
 def test_clutter_of_a_label_refines_the_shared_table():
-    base = {"clutter": {"score_mean": 0.4, "label": {"car": {"size_spread": 0.2}}}}
+    base = {"clutter": {"score_mean": 0.4, "label": {"car": {"size_spread": [0.2, 0.2, 0.2]}}}}
     model = load_profile(base)
     assert model.clutter.of(Label.CAR).score_mean == 0.4
-    assert model.clutter.of(Label.CAR).size_spread == 0.2
-    assert model.clutter.of(Label.TRUCK).size_spread == 0.1
-    changed = load_profile(base, {"clutter": {"size_spread": 0.0}})
-    assert changed.clutter.of(Label.CAR).size_spread == 0.0
+    assert model.clutter.of(Label.CAR).size_spread == (0.2, 0.2, 0.2)
+    assert model.clutter.of(Label.TRUCK).size_spread == (0.1, 0.1, 0.1)
+    changed = load_profile(base, {"clutter": {"size_spread": [0.0, 0.0, 0.0]}})
+    assert changed.clutter.of(Label.CAR).size_spread == (0.0, 0.0, 0.0)
     assert load_profile(changed.plain()) == changed
