@@ -34,6 +34,8 @@ class Replay:
     start: int = 0
 
     def __post_init__(self) -> None:
+        if not len(self.recording):
+            raise InputError(f"recording '{self.recording.name}' has no frames to replay")
         for tracker, metrics in self.series.items():
             steps = len(self.tracks[tracker]) if tracker in self.tracks else None
             for metric, values in metrics.items():

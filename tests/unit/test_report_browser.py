@@ -409,6 +409,8 @@ def test_a_study_page_shows_its_curves_and_worst_trials(browser, tmp_path):
     browser.execute_script("document.querySelector('.curves').scrollIntoView()")
     wait(browser, "return [...document.images].every((i) => i.complete && i.naturalWidth > 100)")
     assert browser.execute_script("return document.images.length") == 2
+    loaded = "return performance.getEntriesByType('resource').map((e) => e.name.slice(0, 20))"
+    assert all(name.startswith("data:") for name in browser.execute_script(loaded))
     assert complaints(browser) == []
 
 

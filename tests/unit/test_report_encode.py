@@ -267,6 +267,13 @@ def test_series_are_for_each_step():
         Replay(recording=scene, tracks={}, series={"b": {"gospa": np.zeros(4)}})
 
 
+def test_nothing_is_no_replay():
+    with pytest.raises(InputError, match="no frames"):
+        Replay(
+            recording=Recording(name="n", truth=(), detections=(), frame=[], stamp=[]), tracks={}
+        )
+
+
 def test_undefined_values_stay_undefined_and_observable_series_come_first():
     scene = recording(frames=4)
     series = {

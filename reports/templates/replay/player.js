@@ -308,6 +308,7 @@ class Player {
     this.plots.draw(state);
     this.slider.value = state.frame;
     const last = data.times[data.frames - 1];
+    this.slider.setAttribute("aria-valuetext", `${data.times[state.frame].toFixed(1)} seconds`);
     this.find(".clock").textContent = `${data.times[state.frame].toFixed(1)} / ${last.toFixed(1)} s`;
     this.find(".frame").textContent = `frame ${state.frame}`;
     this.find("[data-do=follow]").setAttribute("aria-pressed", state.follow !== "none");
