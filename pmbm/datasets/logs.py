@@ -33,6 +33,7 @@ class Box:
     score : of detections and results.  visibility, observable, velocity : of truth; velocity in
         the world, m/s, or None.
     hard : of the more difficult kind, where the dataset tells.
+    excused : of results; where unmatched, not false.
     """
 
     kind: str
@@ -45,6 +46,7 @@ class Box:
     observable: bool = True
     velocity: tuple[float, float] | None = None
     hard: bool = False
+    excused: bool = False
 
 
 Frames = Sequence[Sequence[Box]]
@@ -183,7 +185,7 @@ def log_comparison(
     return Comparison(
         truth=compared,
         tracks=tuple(tracks),
-        excused=np.zeros(sum(map(len, track_rows)), bool),
+        excused=np.array([box.excused for frame in track_rows for box in frame], dtype=bool),
         hard=np.array([box.hard for frame in truth_rows for box in frame], dtype=bool),
         sensor=np.array([pose.translation for pose in timeline.poses]).reshape(-1, 3),
     )

@@ -122,6 +122,8 @@ def _read_box(item: Mapping[str, Any], label: Mapping[str, Any], name: str, plac
         yaw=place.finite(box["heading"], "box.heading", within=_LARGEST_ANGLE),
         score=_score(item.get("score", 1.0), place),
         hard=label.get("tracking_difficulty_level", 0) == _LEVEL_2,
+        # Nothing is labelled in a no-label zone, so nothing there can be told to be false.
+        excused=bool(item.get("overlap_with_nlz", False)),
     )
 
 

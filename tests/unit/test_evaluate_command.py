@@ -1,5 +1,6 @@
 """`pmbm evaluate`: the KITTI rules by hand, and on the real files where they are."""
 
+import copy
 import json
 import os
 import shutil
@@ -10,6 +11,8 @@ import pytest
 
 from pmbm.cli import main
 from pmbm.datasets import open_dataset
+from pmbm.datasets.waymo_files import OBJECTS, decoded
+from pmbm.datasets.wire import encode
 from pmbm.types import Tracks, TrackSequence
 
 SAMPLE = Path(__file__).parents[1] / "data" / "kitti"
@@ -249,3 +252,18 @@ def test_waymo_knows_the_thresholds_of_its_types(tmp_path, capsys):
                     "--classes", "VEHICLE") == 0  # fmt: skip
         scores = json.loads(capsys.readouterr().out)["scores"]["VEHICLE"]["all"]
         assert scores["MOTA"] == found
+
+
+@pytest.mark.parametrize("zone", [False, True])
+def test_a_waymo_box_in_a_no_label_zone_is_not_false(tmp_path, capsys, zone):
+    options = driven("waymo", tmp_path)
+    (path,) = (tmp_path / "out").glob("*.bin")
+    content = decoded(path)
+    ghost = copy.deepcopy(content["objects"][0])
+    ghost["object"]["id"] = "ghost"
+    ghost["object"]["box"]["center_x"] += 50.0
+    content["objects"].append(ghost | {"overlap_with_nlz": zone})
+    path.write_bytes(encode(content, OBJECTS))
+    assert pmbm("evaluate", "waymo", *options, "--json", "-", "--classes", "VEHICLE") == 0
+    scores = json.loads(capsys.readouterr().out)["scores"]["VEHICLE"]["all"]
+    assert (scores["FP"] == 0) == zone
