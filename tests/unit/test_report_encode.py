@@ -22,7 +22,7 @@ from pmbm.types import (
     TrackSequence,
 )
 from reports.encode import encode_replay
-from reports.matching import matched
+from reports.matching import identity_switches, matched
 from reports.values import Replay
 
 
@@ -103,6 +103,21 @@ def test_switches_are_those_that_clear_counts():
     # Hidden until frame 48, followed as 22 from there, as 122 from frame 61.
     assert switches == [[61, "22", "22", "122"]]
     assert len(switches) == evaluate(scene, sloppy)["id_switches"].value
+
+
+def test_a_switch_names_the_last_id_and_the_new_one():
+    scene = recording(frames=9)
+    steps = []
+    for index, step in enumerate(tracks(scene)):
+        ids = step.id.copy()
+        ids[ids == 11] = [11, 11, 11, 11, 70, 70, 11, 80, 80][index]
+        steps.append(replace(step, id=ids))
+    found = identity_switches(scene, TrackSequence(steps=tuple(steps), frame=np.arange(9)))
+    assert [(s.frame, s.object, s.old, s.new) for s in found] == [
+        (4, 11, 11, 70),
+        (6, 11, 70, 11),
+        (7, 11, 11, 80),
+    ]
 
 
 def test_ids_beyond_what_a_float_holds():
