@@ -11,11 +11,15 @@ from pmbm.filter.models import Transition
 from pmbm.types import FloatArray
 
 
-def predict(density: Density, transition: Transition, birth: Mixture) -> Density:
+def predict(
+    density: Density, transition: Transition, birth: Mixture, *, merge_births: bool = False
+) -> Density:
     """The density one interval later: detected and undetected objects move on independently, both
     survive with P_S, and newly born objects join the undetected ones.
 
     Association hypotheses and their weights stay as they are: prediction tells nothing about them.
+
+    merge_births : whether births that come again and again at one place are one component.
     """
     with np.errstate(divide="ignore"):
         log_survival = np.log(transition.survival)
@@ -24,7 +28,7 @@ def predict(density: Density, transition: Transition, birth: Mixture) -> Density
     mean, cov = _moved(local.mean, local.cov, transition)
     return replace(
         density,
-        undetected=Mixture.joined(survivors, birth),
+        undetected=(_merged if merge_births else Mixture.joined)(birth, survivors),
         local=replace(
             local,
             existence=local.existence * transition.survival,
@@ -33,6 +37,22 @@ def predict(density: Density, transition: Transition, birth: Mixture) -> Density
             seen=_seen(local.seen, transition),
         ),
     )
+
+
+def _merged(birth: Mixture, survivors: Mixture) -> Mixture:
+    """The births, and the survivors after them.
+
+    Survivors that begin with the births of the interval before, as they do while the sensor stands
+    still, take in the new ones place by place; weight, mean and covariance of the sum are kept.
+    """
+    n = len(birth)
+    if not np.array_equal(birth.mean, survivors.mean[:n]):
+        return Mixture.joined(birth, survivors)
+    log_weight, cov = survivors.log_weight.copy(), survivors.cov.copy()
+    log_weight[:n] = np.logaddexp(log_weight[:n], birth.log_weight)
+    share = np.exp(birth.log_weight - log_weight[:n])
+    cov[:n] += share[:, None, None] * (birth.cov - cov[:n])
+    return Mixture(log_weight, survivors.mean, cov)
 
 
 def _seen(seen: FloatArray | None, transition: Transition) -> FloatArray | None:

@@ -83,7 +83,12 @@ class PMBMTracker:
             )
         else:
             dt = self._elapsed(detections.time)
-            predicted = predict(self.density, self._transition(dt), self._births(view, dt))
+            predicted = predict(
+                self.density,
+                self._transition(dt),
+                self._births(view, dt),
+                merge_births=config.merge_undetected > 0,
+            )
         sensor = self._sensor(view, predicted)
         association = associate(
             predicted,
