@@ -36,13 +36,14 @@ def normalised_squares(
     try:
         factor = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
-        eigenvalues = np.linalg.eigvalsh(covariance).reshape(-1, covariance.shape[-1])
+        least = np.linalg.eigvalsh(covariance)[..., 0].ravel()
         raise InputError(
             "singular covariance",
             field="covariance",
-            rows=np.flatnonzero(eigenvalues[:, 0] <= 0),
+            # What fails may have a least eigenvalue barely above zero.
+            rows=np.flatnonzero(least <= max(least.min(), 0.0)),
             expected="positive definite",
-            got=f"smallest eigenvalue {eigenvalues.min():g}",
+            got=f"smallest eigenvalue {least.min():g}",
         ) from None
     white = np.linalg.solve(factor, e[..., None])[..., 0]
     return np.einsum("...d,...d->...", white, white)

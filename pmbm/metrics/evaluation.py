@@ -256,8 +256,9 @@ def _consistency(work: _Work) -> _Tally:
     try:
         squares = normalised_squares(error, covariance[given])
     except InputError as problem:
-        frame = matches.frame[given][problem.rows[0]] if problem.rows else None
-        raise problem.located(frame=frame) from None
+        row = track[problem.rows[0]]
+        where = {"frame": int(scene.tracks.frame[row]), "object_id": int(scene.tracks.id[row])}
+        raise problem.located(**where) from None
     return _Tally(
         counts={"nees": float(squares.sum()), "estimates": len(squares)},
         series={},

@@ -274,8 +274,9 @@ class TestTestbedMeasures:
 
     def test_a_singular_covariance_is_refused(self):
         tracks = tracks_frame({7: (1, 0)}, covariance=[np.diag([1.0, 1, 1, 0])])
-        with pytest.raises(InputError, match="singular covariance"):
+        with pytest.raises(InputError, match="singular covariance") as caught:
             evaluate(recording_of([truth_frame({1: (0, 0)})]), [tracks])
+        assert (caught.value.frame, caught.value.object_id) == (0, 7)
 
 
 def test_recordings_are_combined_by_counts():
