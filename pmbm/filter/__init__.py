@@ -16,7 +16,8 @@ Letters used in this folder alone:
 from __future__ import annotations
 
 from pmbm.filter.config import PMBMConfig
+from pmbm.filter.inspection import Inspection
 from pmbm.filter.marks import Kinds, Visibility
 from pmbm.filter.tracker import PMBMTracker
 
-__all__ = ["Kinds", "PMBMConfig", "PMBMTracker", "Visibility"]
+__all__ = ["Inspection", "Kinds", "PMBMConfig", "PMBMTracker", "Visibility"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from pmbm.filter.association import associate
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
 from pmbm.filter.estimation import marginals
+from pmbm.filter.inspection import Inspection, inspect
 from pmbm.filter.marks import GHOST
 from pmbm.filter.models import (
     DetectionFromScores,
@@ -54,6 +56,7 @@ class PMBMTracker:
         self.density: Density | None = None
         self.reduced = Reduced()
         self._time = math.nan
+        self._seconds: dict[str, float] = {}
         self._shape: Mixture | None = None
         self._shape_pose = np.zeros(3)
         self._score_model = self.config.score_model or ScoreModel.trusting()
@@ -67,6 +70,7 @@ class PMBMTracker:
         Raises InputError, the tracker unchanged, where time runs backwards.
         """
         config = self.config
+        clock = _Clock()
         everywhere = config.scores == _EVERYWHERE
         view = View.of(self.site, detections.sensor_pose)
         scan = self._scan(detections)
@@ -89,6 +93,7 @@ class PMBMTracker:
                 self._births(view, dt),
                 merge_births=config.merge_undetected > 0,
             )
+        clock.read("predict")
         sensor = self._sensor(view, predicted)
         association = associate(
             predicted,
@@ -99,10 +104,23 @@ class PMBMTracker:
             margin=-math.log(config.prune_hypothesis) if config.prune_hypothesis else math.inf,
             clustering=config.clustering,
         )
+        clock.read("associate")
         updated = update(predicted, scan, association, sensor)
+        clock.read("update")
         self.density, self.reduced = reduce(updated, self._limits())
-        self._time = detections.time
+        clock.read("reduce")
+        self._time, self._seconds = detections.time, clock.seconds
         return self._report(self.density, view)
+
+    def inspect(self) -> Inspection:
+        """Every track's hypotheses with weights and, where `config.history` says to keep them,
+        association histories; what the last step's reductions removed; how long its parts took.
+
+        Raises InputError before the first step.
+        """
+        if self.density is None:
+            raise InputError("nothing to inspect before the first step")
+        return inspect(self.density, self._time, self.reduced, self._seconds)
 
     def _elapsed(self, time: float) -> float:
         if time < self._time:
@@ -192,6 +210,18 @@ class PMBMTracker:
             covariance=local.cov,
             undetected=density.undetected.public(),
         )
+
+
+class _Clock:
+    """CPU time between readings, by what was done in between."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = process_time()
+
+    def read(self, what: str) -> None:
+        now = process_time()
+        self.seconds[what], self._last = now - self._last, now
 
 
 def _labels(local: Locals) -> NDArray[np.int8]:

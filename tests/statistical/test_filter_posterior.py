@@ -1,0 +1,307 @@
+"""Is the posterior true?  Worlds drawn from the filter's own prior, posteriors held against them.
+
+S2 the number of objects, S3 the existence of tracks, S4 states and innovations, S5 what pruning,
+capping and gating cost.  S1, equality with exact enumeration, is among the oracle tests.  Seeds are
+fixed here; `PMBM_FRESH_SEEDS=1` draws others.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from pmbm.filter.association import associate
+from pmbm.filter.density import Density, Mixture
+from pmbm.filter.estimation import cardinality, marginals
+from pmbm.filter.models import Sensor, Transition, constant_velocity
+from pmbm.filter.prediction import predict
+from pmbm.filter.reduction import Limits, reduce
+from pmbm.filter.scan import Scan
+from pmbm.filter.update import update
+
+pytestmark = pytest.mark.slow
+
+WORLDS = 1000
+STEPS = 12
+ENTROPY = None if os.environ.get("PMBM_FRESH_SEEDS") else 20261122
+
+
+@dataclass(frozen=True)
+class World:
+    """Everything that both the world and the filter believe."""
+
+    detection: float = 0.85
+    survival: float = 0.95
+    birth: float = 0.25
+    initial: float = 2.0
+    clutter: float = 3.0
+    half_width: float = 120.0
+    spread: float = 20.0
+    speed: float = 2.0
+    gate: float = 30.0
+    dt: float = 1.0
+    noise: float = 1.0
+    limits: Limits = field(
+        default_factory=lambda: Limits(
+            prune_hypothesis=1e-4,
+            max_hypotheses=300,
+            recycle_below=1e-3,
+            recycle=True,
+            max_tracks=10**6,
+            prune_undetected=1e-6,
+            merge_undetected=0.1,
+            max_undetected=10**6,
+            clustering=True,
+            split_below=0.0,
+        )
+    )
+
+    def mixture(self, weight):
+        cov = np.diag([self.spread**2, self.spread**2, self.speed**2, self.speed**2])
+        return Mixture(np.log([weight]), np.zeros((1, 4)), cov[None])
+
+    @property
+    def sensor(self):
+        density = self.clutter / (2 * self.half_width) ** 2
+        return Sensor(self.noise**2 * np.eye(2), self.detection, density)
+
+    @property
+    def transition(self):
+        return Transition(*constant_velocity(self.dt, 0.05), self.survival)
+
+
+@dataclass
+class Run:
+    """One world and the filter's posterior at its end."""
+
+    density: Density
+    objects: int
+    alive: dict
+    nis: list
+
+
+def draw(world, belief, rng, steps=STEPS):
+    """Draw a world step by step and filter it under `belief`.
+
+    alive maps a detection's running number to whether the object, first detected by it, lives; a
+    track of that id exists exactly then.
+    """
+    F, Q = world.transition.F, world.transition.Q
+    root = np.linalg.cholesky(Q)
+
+    def born(mean):
+        n = rng.poisson(mean)
+        sd = [world.spread, world.spread, world.speed, world.speed]
+        return [{"x": rng.normal(0, sd), "first": None} for _ in range(n)]
+
+    objects = born(world.initial)
+    density = Density.initial(belief.mixture(belief.initial))
+    first_of, number, nis = {}, 0, []
+    for k in range(steps):
+        if k:
+            objects = [o for o in objects if rng.random() < world.survival]
+            for o in objects:
+                o["x"] = F @ o["x"] + root @ rng.normal(size=4)
+            objects += born(world.birth)
+            density = predict(density, belief.transition, belief.mixture(belief.birth))
+        found = [o for o in objects if rng.random() < world.detection]
+        clutter = rng.uniform(-world.half_width, world.half_width, (rng.poisson(world.clutter), 2))
+        z = [o["x"][:2] + rng.normal(0, world.noise, 2) for o in found]
+        z, origin = np.concatenate([np.reshape(z, (-1, 2)), clutter]), found + [None] * len(clutter)
+        order = rng.permutation(len(z))
+        for place, i in enumerate(order):
+            o = origin[i]
+            if o is not None and o["first"] is None:
+                o["first"] = number + place
+                first_of[number + place] = o
+        scan = Scan.of_positions(z[order])
+        found_pairs = associate(
+            density,
+            scan,
+            belief.sensor,
+            gate_threshold=belief.gate,
+            max_hypotheses=belief.limits.max_hypotheses,
+        )
+        nis += (found_pairs.known.y**2).sum(axis=1).tolist()
+        density, _ = reduce(update(density, scan, found_pairs, belief.sensor), belief.limits)
+        number += len(z)
+    living = {id(o) for o in objects}
+    alive = {first: id(o) in living for first, o in first_of.items()}
+    return Run(density, len(objects), alive, nis), objects
+
+
+def runs(world, belief=None, count=WORLDS, salt=0):
+    seeds = np.random.SeedSequence(ENTROPY, spawn_key=(salt,)).spawn(count)
+    return [draw(world, belief or world, np.random.default_rng(seed)) for seed in seeds]
+
+
+def poisson(mean, top):
+    n = np.arange(top + 1)
+    from scipy.stats import poisson as law
+
+    return law.pmf(n, mean)
+
+
+def transform(run, rng):
+    """Randomised probability integral transform of the true number of objects."""
+    undetected = np.exp(run.density.undetected.log_weight).sum()
+    p = np.convolve(cardinality(run.density), poisson(undetected, 40))
+    below = p[: run.objects].sum()
+    here = p[run.objects] if run.objects < len(p) else 0.0
+    return below + rng.random() * here
+
+
+def worst_gap(values):
+    """Largest distance between the values' distribution function and the uniform one."""
+    u = np.sort(values)
+    n = len(u)
+    return max((np.arange(1, n + 1) / n - u).max(), (u - np.arange(n) / n).max())
+
+
+def band(n, alpha=0.01):
+    """Simultaneous band of the empirical distribution function (Massart 1990)."""
+    return float(np.sqrt(np.log(2 / alpha) / (2 * n)))
+
+
+def reliability(outcomes, bins=10):
+    """Per bin of claimed existence: z-score of claimed against true, variance by trials."""
+    edges = np.linspace(0, 1, bins + 1)
+    sums = np.zeros((len(outcomes), bins))
+    claimed, true = [], []
+    for trial, (run, _) in enumerate(outcomes):
+        existence = marginals(run.density).existence
+        for number, p in zip(run.density.track_id.tolist(), existence, strict=True):
+            fact = float(run.alive.get(number, False))
+            sums[trial, min(np.searchsorted(edges, p, side="right") - 1, bins - 1)] += fact - p
+            claimed.append(p)
+            true.append(fact)
+    scale = np.sqrt((sums**2).sum(axis=0))
+    z = np.divide(sums.sum(axis=0), scale, out=np.zeros(bins), where=scale > 0)
+    claimed, true = np.array(claimed), np.array(true)
+    return z, float(((claimed - true) ** 2).mean()), len(claimed)
+
+
+@pytest.fixture(scope="module")
+def own_worlds():
+    return runs(World())
+
+
+def test_s2_number_of_objects(own_worlds, verified):
+    rng = np.random.default_rng(1)
+    gap = worst_gap([transform(run, rng) for run, _ in own_worlds])
+    bound = band(len(own_worlds))
+    verified("S2", "PIT of the true number of objects", round(gap, 4), round(bound, 4), gap < bound)
+    assert gap < bound
+
+
+def test_s3_existence_of_tracks(own_worlds, verified):
+    z, brier, n = reliability(own_worlds)
+    verified(
+        "S3",
+        f"existence of {n} tracks, worst bin's z",
+        round(float(np.abs(z).max()), 2),
+        3.29,
+        bool((np.abs(z) < 3.29).all()),
+    )
+    verified("S3", "Brier score of existence", round(brier, 4))
+    assert n > 1000
+    assert (np.abs(z) < 3.29).all(), z
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"survival": 0.85}, {"detection": 0.7}, {"clutter": 6.0}, {"birth": 0.6}],
+    ids=lambda wrong: next(iter(wrong)),
+)
+def test_s2_and_s3_notice_a_wrong_belief(wrong):
+    world = World()
+    outcomes = runs(world, replace(world, **wrong), salt=1)
+    rng = np.random.default_rng(1)
+    gap = worst_gap([transform(run, rng) for run, _ in outcomes])
+    z, _, _ = reliability(outcomes)
+    assert gap > band(len(outcomes)) or np.abs(z).max() > 3.29
+
+
+def test_s4_states_and_innovations(verified):
+    """Certain detection, no clutter, one object: chi-square to the letter."""
+    world = World(
+        detection=1.0, survival=1.0, birth=1e-9, initial=1.0, clutter=0.0, gate=1e6, spread=200.0
+    )
+    nees, nis = [], []
+    for run, objects in runs(world, count=600, salt=2):
+        if len(objects) != 1:
+            continue
+        best = marginals(run.density).best
+        assert len(best) == 1
+        error = run.density.local.mean[best[0]] - objects[0]["x"]
+        nees.append(error @ np.linalg.solve(run.density.local.cov[best[0]], error))
+        nis += run.nis
+    for what, values, dof in (("NEES", nees, 4), ("NIS", nis, 2)):
+        n = len(values)
+        low, high = chi2.ppf([0.0005, 0.9995], dof * n) / n
+        mean = float(np.mean(values))
+        verified(
+            "S4",
+            f"mean {what} of {n}",
+            round(mean, 3),
+            f"{low:.3f} to {high:.3f}",
+            bool(low < mean < high),
+        )
+        assert low < mean < high
+
+
+def test_s5_what_the_reductions_cost(verified):
+    """Expected number of objects under hard reductions against hardly any, same worlds."""
+    world = World()
+    free = replace(
+        world,
+        gate=60.0,
+        limits=replace(
+            world.limits,
+            prune_hypothesis=1e-7,
+            max_hypotheses=3000,
+            recycle_below=1e-5,
+            prune_undetected=1e-9,
+            merge_undetected=0.0,
+        ),
+    )
+
+    def expected(run):
+        density = run.density
+        return np.exp(density.undetected.log_weight).sum() + marginals(density).existence.sum()
+
+    for what, belief in {
+        "the defaults": replace(
+            world,
+            gate=20.0,
+            limits=replace(
+                world.limits,
+                prune_hypothesis=1e-3,
+                max_hypotheses=200,
+                recycle_below=0.01,
+                prune_undetected=1e-5,
+                merge_undetected=1.0,
+                split_below=1e-3,
+            ),
+        ),
+        "a gate of 9": replace(world, gate=9.0),
+        "one global hypothesis": replace(world, limits=replace(world.limits, max_hypotheses=1)),
+    }.items():
+        pairs = [
+            (expected(a), expected(b))
+            for (a, _), (b, _) in zip(
+                runs(world, belief, 60, salt=3), runs(world, free, 60, salt=3), strict=True
+            )
+        ]
+        bias = float(np.mean([a - b for a, b in pairs]))
+        error = float(np.mean([abs(a - b) for a, b in pairs]))
+        verified(
+            "S5",
+            f"bias and mean error of the expected number under {what}",
+            f"{bias:+.4f}, {error:.4f}",
+        )
+        assert abs(bias) < 0.5
