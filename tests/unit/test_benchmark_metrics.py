@@ -197,9 +197,9 @@ class TestNuscenes:
 
     def test_gaps_are_filled_the_short_way_round_and_with_the_time_between(self):
         truth = [
-            truth_frame({1: (0, 0)}, 0.0, yaw=[3.0]),
-            truth_frame({}, 0.3),
-            truth_frame({1: (1, 0)}, 1.0, yaw=[-3.0]),
+            truth_frame({1: (0, 0)}, 1.0, yaw=[3.0]),
+            truth_frame({}, 1.3),
+            truth_frame({1: (1, 0)}, 2.0, yaw=[-3.0]),
         ]
         made = make_scene(truth, [tracks_frame({}, frame.time) for frame in truth])
         filled = fill_gaps(made).truth
