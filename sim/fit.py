@@ -113,8 +113,8 @@ def _of(evidence: Evidence, keep: BoolArray) -> _Sample:
 def _fit_objects(sample: _Sample, scale: _ScoreScale) -> ObjectModel:
     if len(sample.hits.score) == 0:
         return ObjectModel()
-    probability, factor = _fit_probability(sample.chances)
-    values: dict[str, Any] = {"detection_probability": probability, "visibility_factor": factor}
+    probability, odds = _fit_probability(sample.chances)
+    values: dict[str, Any] = {"detection_probability": probability, "visibility_odds": odds}
     expected = ObjectModel(**values).probability(sample.chances.distance, sample.chances.visibility)
     return ObjectModel(
         **values,
@@ -148,8 +148,8 @@ def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
 
 
 def _fit_probability(chances: Chances) -> tuple[Curve, Curve]:
-    """Curves over range and visibility whose product is the detection probability (maximum
-    likelihood); the second is 1 in full view."""
+    """Detection probability in full view over range, and what multiplies its odds over visibility
+    (maximum likelihood); the second is 1 in full view."""
     knots = _binned(chances.distance, _range_bins(chances.distance))
     level = np.digitize(chances.visibility, _VISIBILITY_EDGES)
     full = level == len(_VISIBILITY_EDGES)
@@ -159,24 +159,27 @@ def _fit_probability(chances: Chances) -> tuple[Curve, Curve]:
     found = chances.found
 
     def loss(x: FloatArray) -> tuple[float, FloatArray]:
-        value = special.expit(x)
-        near, view = value[: len(knots)], np.append(value[len(knots) :], 1.0)
-        at_range, in_view = range_share @ near, view_share @ view
-        p = np.clip(at_range * in_view, 1e-9, 1 - 1e-9)
-        slope = np.where(found, -1 / p, 1 / (1 - p))
+        at_knot, odds = special.expit(x[: len(knots)]), np.exp(x[len(knots) :])
+        p, h = range_share @ at_knot, view_share @ np.append(odds, 1.0)
+        p = np.clip(p, 1e-9, 1 - 1e-9)
+        scale = 1 - p + p * h
+        chance = np.clip(p * h / scale, 1e-9, 1 - 1e-9)
+        slope = np.where(found, -1 / chance, 1 / (1 - chance)) / np.square(scale)
         gradient = np.concatenate(
-            [(slope * in_view) @ range_share, ((slope * at_range) @ view_share)[:-1]]
+            [
+                ((slope * h) @ range_share) * at_knot * (1 - at_knot),
+                ((slope * p * (1 - p)) @ view_share)[:-1] * odds,
+            ]
         )
         # A whisper of a prior keeps shares off 0 and 1, where no data could move them again.
-        prior = 0.02 * np.square(x)
-        log_likelihood = np.log(np.where(found, p, 1 - p)).sum()
-        return prior.sum() - log_likelihood, 0.04 * x + gradient * value * (1 - value)
+        log_likelihood = np.log(np.where(found, chance, 1 - chance)).sum()
+        return 0.02 * (x @ x) - log_likelihood, 0.04 * x + gradient
 
-    start = np.full(len(knots) + len(dim), 2.0)
-    value = special.expit(optimize.minimize(loss, start, jac=True, method="L-BFGS-B").x)
+    start = np.append(np.full(len(knots), 2.0), np.zeros(len(dim)))
+    x = optimize.minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": 500}).x
     return (
-        Curve(at=tuple(knots), value=tuple(value[: len(knots)])),
-        Curve(at=tuple(views), value=(*value[len(knots) :], 1.0)),
+        Curve(at=tuple(knots), value=tuple(special.expit(x[: len(knots)]))),
+        Curve(at=tuple(views), value=(*np.exp(x[len(knots) :]), 1.0)),
     )
 
 

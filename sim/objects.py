@@ -44,6 +44,8 @@ class ObjectModel:
 
     detection_probability : of an object in full view.
     visibility_factor : curve over the visible share; multiplies the detection probability.
+    visibility_odds : curve over the visible share; multiplies the odds of detection, so that
+        hiding costs little where detection is next to sure.
     miss_burst_length : frames; mean length of a run of misses, at an unchanged share of misses.
         1 gives independent misses, and so does all that is shorter than their mean run.
     radial_noise, lateral_noise, vertical_noise : standard deviation of the centre along the line
@@ -79,6 +81,7 @@ class ObjectModel:
 
     detection_probability: Annotated[NumberOrCurve, SHARE] = _ONE
     visibility_factor: Annotated[NumberOrCurve, SHARE] = _ONE
+    visibility_odds: Annotated[NumberOrCurve, POSITIVE] = _ONE
     miss_burst_length: Annotated[float, Bound(1.0)] = 1.0
     radial_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     lateral_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
@@ -125,7 +128,10 @@ class ObjectModel:
 
     def probability(self, distance: FloatArray, visibility: FloatArray) -> FloatArray:
         """Detection probability (R,) at distances (R,) and visible shares (R,)."""
-        return self.detection_probability(distance) * self.visibility_factor(visibility)
+        in_view = self.detection_probability(distance)
+        odds = self.visibility_odds(visibility)
+        hidden = in_view * odds / (1.0 - in_view + in_view * odds)
+        return np.where(odds == 1.0, in_view, hidden) * self.visibility_factor(visibility)
 
     def position_noise(self, distance: FloatArray, visibility: FloatArray) -> FloatArray:
         """Standard deviations (R,3), radial, lateral, vertical, m."""

@@ -60,6 +60,17 @@ def test_recall_follows_range_and_visibility():
     assert not found[visibility < 0.1].any()
 
 
+def test_hiding_may_work_on_the_odds_of_detection():
+    visibility = np.where(np.arange(len(MANY)) % 2, 1.0, 0.3)
+    scene = still(MANY, visibility=visibility)
+    knobs = {"detection_probability": 0.9, "visibility_odds": {"at": [0.3, 1.0], "value": [0.2, 1]}}
+    found = detected(record(scene, **knobs)).mean(axis=0)
+    hidden = visibility < 1
+    for rows, expected in ((hidden, 1.8 / 2.8), (~hidden, 0.9)):  # odds of 9 become 1.8
+        deviation = np.full(rows.sum(), np.sqrt(expected * (1 - expected) / len(scene)))
+        assert same_mean(found[rows], np.full(rows.sum(), expected), deviation)
+
+
 def test_misses_are_independent_at_burst_length_one():
     found = detected(record(still(MANY), detection_probability=0.7))
     missed_before = ~found[:-1]
