@@ -58,8 +58,12 @@ class Scenario:
                 at_level = schema.parse(self._document_at(level), self.file)
                 _check_clock(at_level, self.file)
         self._level(self.level)
+        checked = []
         for level in self.levels or (None,):
-            self.detector(level)
+            table = self._document_at(level).get("detector")
+            if table not in checked:
+                self.detector(level)
+                checked.append(table)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Scenario, (dict(self.document), self.file, self.level)

@@ -173,6 +173,7 @@ def test_more_births_only_add_objects():
         document = {
             "name": "test",
             "stresses": "a test of its own",
+            "rate": 2,
             "scene": {"kind": "scripted", "births": {"any": {"rate": rate, **changes}}},
         }
         scene = Scenario(document).scene(1)
