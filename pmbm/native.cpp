@@ -106,14 +106,23 @@ Output<double> log_density(Table<double> expected, Input<double> l11, Input<doub
                                        z.data(), z.shape(0), threshold));
 }
 
+// Returns means (n,4) and covariances (n,4,4), flat.
+nb::tuple correct(Table<double> mean, Table<double> cov, Input<double> l11, Input<double> l21,
+                  Input<double> l22, Table<double> R, Input<std::int64_t> row, Table<double> y) {
+    std::vector<double> means, covs;
+    pmbm::correct(mean.data(), cov.data(),
+                  {nullptr, l11.data(), l21.data(), l22.data(), l11.size()}, R.data(), row.data(),
+                  y.data(), row.size(), means, covs);
+    return nb::make_tuple(hand_over(std::move(means)), hand_over(std::move(covs)));
+}
+
 // Writes into mean (M,4) and cov (M,4,4).
 void fuse(Table<double> expected, Input<double> l11, Input<double> l21, Input<double> l22,
-          Input<double> log_height, Table<double> mean_of, Table<double> gain_of,
-          Table<double> cov_of, Table<double> z, double threshold, Written mean, Written cov) {
+          Input<double> log_height, Table<double> mean_of, Table<double> cov_of, Table<double> R,
+          Table<double> z, double threshold, Written mean, Written cov) {
     nb::gil_scoped_release released;
-    pmbm::fuse(innovations(expected, l11, l21, l22), log_height.data(),
-               {mean_of.data(), gain_of.data(), cov_of.data()}, z.data(), z.shape(0), threshold,
-               mean.data(), cov.data());
+    pmbm::fuse(innovations(expected, l11, l21, l22), log_height.data(), mean_of.data(),
+               cov_of.data(), R.data(), z.data(), z.shape(0), threshold, mean.data(), cov.data());
 }
 
 pmbm::TableView view(const Input<std::int64_t>& cluster, const Input<double>& log_weight,
@@ -181,6 +190,17 @@ nb::tuple split(Input<std::int64_t> cluster, Input<double> log_weight, Input<std
     return hand_over(pmbm::split(view(cluster, log_weight, start, member), locals));
 }
 
+nb::tuple merge_equal(Input<std::int64_t> cluster, Input<double> log_weight,
+                      Input<std::int64_t> start, Input<std::int64_t> member) {
+    return hand_over(pmbm::merged(view(cluster, log_weight, start, member)));
+}
+
+Output<std::int64_t> likeliest(Input<std::int64_t> track, Input<double> mass,
+                               std::int64_t tracks) {
+    return hand_over(pmbm::likeliest(track.data(), mass.data(), track.size(),
+                                     static_cast<std::size_t>(tracks)));
+}
+
 Output<double> probability(Input<std::int64_t> cluster, Input<double> log_weight,
                            Input<std::int64_t> start, Input<std::int64_t> member,
                            std::int64_t locals) {
@@ -197,10 +217,13 @@ NB_MODULE(_native, m) {
     m.def("gate", &gate, nb::arg("expected"), nb::arg("l11"), nb::arg("l21"), nb::arg("l22"),
           nb::arg("z"), nb::arg("threshold"));
     m.def("log_density", &log_density);
+    m.def("correct", &correct);
     m.def("fuse", &fuse);
     m.def("best_children", &best_children);
     m.def("extended", &extended);
     m.def("prune", &prune);
     m.def("split", &split);
+    m.def("merge_equal", &merge_equal);
+    m.def("likeliest", &likeliest);
     m.def("probability", &probability);
 }

@@ -166,6 +166,8 @@ def merge_equal(table: Globals) -> Globals:
     """
     if len(table) == table.clusters:
         return table
+    if compiled.native is not None:
+        return Globals(*compiled.native.merge_equal(*table.columns()))
     # One is added, since zero hashes to zero and would look like an absent member.
     key = (table.member + 1).astype(np.uint64) * _SPLITMIX[0]
     key = (key ^ (key >> np.uint64(30))) * _SPLITMIX[1]

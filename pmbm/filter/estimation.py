@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from pmbm import compiled
 from pmbm.filter.density import Density, Index, summed
 from pmbm.filter.marks import GHOST
 from pmbm.types import FloatArray
@@ -30,8 +31,11 @@ def marginals(density: Density) -> Marginals:
     local, tracks = density.local, len(density.track_id)
     mass = density.hypothesis_probability() * local.existence
     existence = summed(mass, local.track, tracks)
-    order = np.lexsort((-mass, local.track))
-    best = order[np.flatnonzero(np.diff(local.track[order], prepend=-1))]
+    if compiled.native is not None:
+        best = compiled.native.likeliest(local.track, mass, tracks)
+    else:
+        order = np.lexsort((-mass, local.track))
+        best = order[np.flatnonzero(np.diff(local.track[order], prepend=-1))]
     existence = existence.clip(max=1.0)
     if local.kind is None or local.kind.shape[1] <= GHOST:
         return Marginals(existence, existence, best)

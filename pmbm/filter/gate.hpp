@@ -151,35 +151,84 @@ inline std::vector<double> log_density(const Innovations& g, const double* log_h
     return top;
 }
 
-// The Gaussians in whose gate each measurement lies, corrected by it and weighted by their share in
-// its density, as one Gaussian: mean (M,4) and cov (M,4,4).  A measurement that lies in no gate
-// keeps what is there.
-struct Corrected {
-    const double *mean, *gain, *cov;
+// A Kalman update but for the measurement: gain W for whitened innovations, and covariance after.
+// gain() and corrected_cov() of gaussian.py say why the position block is what it is.
+struct Correction {
+    double W[8], after[16];
+
+    Correction(const double* P, double l11, double l21, double l22, const double* R) {
+        for (int a = 0; a < 4; ++a) {
+            W[2 * a] = P[4 * a] / l11;
+            W[2 * a + 1] = (P[4 * a + 1] - l21 * W[2 * a]) / l22;
+        }
+        double V[4];
+        for (int a = 0; a < 2; ++a) {
+            V[2 * a] = R[2 * a] / l11;
+            V[2 * a + 1] = (R[2 * a + 1] - l21 * V[2 * a]) / l22;
+        }
+        for (int a = 0; a < 4; ++a) {
+            for (int b = 0; b < 4; ++b) {
+                after[4 * a + b] =
+                    a < 2 && b < 2
+                        ? R[2 * a + b] - V[2 * a] * V[2 * b] - V[2 * a + 1] * V[2 * b + 1]
+                        : P[4 * a + b] - (W[2 * a] * W[2 * b] + W[2 * a + 1] * W[2 * b + 1]);
+            }
+        }
+        for (int a = 0; a < 4; ++a) {
+            for (int b = 0; b < a; ++b) {
+                const double both = 0.5 * (after[4 * a + b] + after[4 * b + a]);
+                after[4 * a + b] = after[4 * b + a] = both;
+            }
+        }
+    }
 };
 
-inline void fuse(const Innovations& g, const double* log_height, const Corrected& corrected,
-                 const double* z, std::size_t measurements, double threshold, double* mean,
-                 double* cov) {
+// Kalman updates of the Gaussians row[i] by whitened innovations y (n,2).
+inline void correct(const double* mean, const double* cov, const Innovations& g, const double* R,
+                    const std::int64_t* row, const double* y, std::size_t count,
+                    std::vector<double>& means, std::vector<double>& covs) {
+    means.reserve(4 * count);
+    covs.reserve(16 * count);
+    for (std::size_t i = 0; i < count; ++i) {
+        const auto r = row[i];
+        const Correction c(cov + 16 * r, g.l11[r], g.l21[r], g.l22[r], R);
+        for (int a = 0; a < 4; ++a) {
+            means.push_back(mean[4 * r + a] + c.W[2 * a] * y[2 * i] +
+                            c.W[2 * a + 1] * y[2 * i + 1]);
+        }
+        covs.insert(covs.end(), c.after, c.after + 16);
+    }
+}
+
+// The Gaussians (mean_of, cov_of) in whose gate each measurement lies, corrected by it and weighted
+// by their share in its density, as one Gaussian: mean (M,4) and cov (M,4,4).  A measurement that
+// lies in no gate keeps what is there.
+inline void fuse(const Innovations& g, const double* log_height, const double* mean_of,
+                 const double* cov_of, const double* R, const double* z, std::size_t measurements,
+                 double threshold, double* mean, double* cov) {
     const auto log_total = log_density(g, log_height, z, measurements, threshold);
+    std::vector<Correction> correction;
+    correction.reserve(g.count);
+    for (std::size_t i = 0; i < g.count; ++i) {
+        correction.emplace_back(cov_of + 16 * i, g.l11[i], g.l21[i], g.l22[i], R);
+    }
     // Moments about the measurement itself, at rest: near the mean, so that little cancels.
     std::vector<double> first(4 * measurements, 0.0), second(16 * measurements, 0.0);
     each_gated(g, z, measurements, threshold,
                [&](std::size_t i, std::int64_t j, double y0, double y1) {
+                   const auto& c = correction[i];
                    const double share =
                        std::exp(log_height[i] - 0.5 * (y0 * y0 + y1 * y1) - log_total[j]);
                    double apart[4];
                    for (int a = 0; a < 4; ++a) {
-                       const double* W = corrected.gain + 8 * i + 2 * a;
-                       apart[a] = corrected.mean[4 * i + a] + W[0] * y0 + W[1] * y1 -
+                       apart[a] = mean_of[4 * i + a] + c.W[2 * a] * y0 + c.W[2 * a + 1] * y1 -
                                   (a < 2 ? z[2 * j + a] : 0.0);
                        first[4 * j + a] += share * apart[a];
                    }
-                   const double* P = corrected.cov + 16 * i;
                    for (int a = 0; a < 4; ++a) {
                        for (int b = 0; b < 4; ++b) {
                            second[16 * j + 4 * a + b] +=
-                               share * (P[4 * a + b] + apart[a] * apart[b]);
+                               share * (c.after[4 * a + b] + apart[a] * apart[b]);
                        }
                    }
                });

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmbm import compiled
 from pmbm.filter.density import Index
 from pmbm.types import FloatArray
 
@@ -67,6 +68,25 @@ class Innovation:
         a, b, d = self.l11**2, self.l11 * self.l21, self.l21**2 + self.l22**2
         largest = 0.5 * (a + d) + np.hypot(0.5 * (a - d), b)
         return np.sqrt(gate * largest)
+
+
+def corrected(
+    mean: FloatArray,
+    cov: FloatArray,
+    innovation: Innovation,
+    row: Index,
+    y: FloatArray,
+    R: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Kalman updates (n,4) and (n,4,4) of the Gaussians `row` (n,) of mean (N,4) and cov (N,4,4) by
+    whitened innovations y (n,2)."""
+    if compiled.native is not None:
+        _, l11, l21, l22 = innovation.columns()
+        means, covs = compiled.native.correct(mean, cov, l11, l21, l22, R, row, y)
+        return means.reshape(-1, 4), covs.reshape(-1, 4, 4)
+    chosen = innovation.take(row)
+    W = gain(cov[row], chosen)
+    return corrected_mean(mean[row], W, y), corrected_cov(cov[row], W, R, chosen)
 
 
 def gain(cov: FloatArray, innovation: Innovation) -> FloatArray:

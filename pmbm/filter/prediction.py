@@ -28,7 +28,7 @@ def predict(
     mean, cov = _moved(local.mean, local.cov, transition)
     return replace(
         density,
-        undetected=(_merged if merge_births else Mixture.joined)(birth, survivors),
+        undetected=_merged(birth, survivors) if merge_births else Mixture.joined(survivors, birth),
         local=replace(
             local,
             existence=local.existence * transition.survival,

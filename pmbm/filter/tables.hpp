@@ -8,6 +8,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "assignment/k_best.hpp"
@@ -254,6 +255,60 @@ inline Table split(const TableView& table, std::int64_t locals) {
         apart.close_row(open++, 0.0);
     }
     return apart;
+}
+
+// merge_equal(): rows of one cluster with the same members become the first of them.
+inline Table merged(const TableView& table) {
+    std::vector<std::pair<std::uint64_t, std::int64_t>> rows;
+    Table kept;
+    table.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
+        rows.clear();
+        for (auto g = first; g < last; ++g) {
+            std::uint64_t sum = 0;
+            for (auto e = table.start[g]; e < table.start[g + 1]; ++e) {
+                // SplitMix64, of the member plus one since zero hashes to zero.
+                auto key = (static_cast<std::uint64_t>(table.member[e]) + 1) *
+                           std::uint64_t{0x9E3779B97F4A7C15};
+                key = (key ^ (key >> 30)) * std::uint64_t{0xBF58476D1CE4E5B9};
+                key = (key ^ (key >> 27)) * std::uint64_t{0x94D049BB133111EB};
+                sum += key ^ (key >> 31);
+            }
+            rows.push_back({sum, g});
+        }
+        std::sort(rows.begin(), rows.end());
+        // The first row of every group takes the others' weight; the others are marked.
+        Floats weight(table.log_weight + first, table.log_weight + last);
+        for (std::size_t i = 0, j = 0; i < rows.size(); i = j) {
+            double top = -std::numeric_limits<double>::infinity(), total = 0;
+            for (j = i; j < rows.size() && rows[j].first == rows[i].first; ++j) {
+                top = std::max(top, table.log_weight[rows[j].second]);
+            }
+            if (j == i + 1) continue;
+            for (auto k = i; k < j; ++k) {
+                total += std::exp(table.log_weight[rows[k].second] - top);
+                weight[rows[k].second - first] = std::numeric_limits<double>::quiet_NaN();
+            }
+            weight[rows[i].second - first] = top + std::log(total);
+        }
+        for (auto g = first; g < last; ++g) {
+            if (std::isnan(weight[g - first])) continue;
+            kept.member.insert(kept.member.end(), table.member + table.start[g],
+                               table.member + table.start[g + 1]);
+            kept.close_row(cluster, weight[g - first]);
+        }
+    });
+    return kept;
+}
+
+// Of each track (T,) the row of the largest mass, the first of them.
+inline Ints likeliest(const std::int64_t* track, const double* mass, std::size_t rows,
+                      std::size_t tracks) {
+    Ints best(tracks, -1);
+    for (std::size_t row = 0; row < rows; ++row) {
+        auto& leader = best[track[row]];
+        if (leader < 0 || mass[row] > mass[leader]) leader = static_cast<std::int64_t>(row);
+    }
+    return best;
 }
 
 // Density.hypothesis_probability(): the weight of all rows that each local hypothesis is part of.

@@ -26,7 +26,7 @@ from pmbm.filter.density import (
     ragged,
     starts,
 )
-from pmbm.filter.gaussian import corrected_cov, corrected_mean, gain, moments
+from pmbm.filter.gaussian import corrected, corrected_cov, corrected_mean, gain, moments
 from pmbm.filter.models import Sensor
 from pmbm.filter.scan import Scan
 from pmbm.types import FloatArray
@@ -147,20 +147,19 @@ def _detected(
 ) -> Locals:
     known = association.known
     row, measurement = known.row[pairs], known.measurement[pairs]
-    before = local.take(row)
-    innovation = known.innovation.take(row)
-    W = gain(before.cov, innovation)
+    mean, cov = corrected(local.mean, local.cov, known.innovation, row, known.y[pairs], sensor.R)
+    confidence = None if local.confidence is None else local.confidence[row]
     return Locals(
-        before.track,
+        local.track[row],
         np.ones(len(pairs)),
-        corrected_mean(before.mean, W, known.y[pairs]),
-        corrected_cov(before.cov, W, sensor.R, innovation),
+        mean,
+        cov,
         scan.box[measurement],
         scan.label[measurement],
-        _remember(before.history, measurement),
-        confidence=sensor.remembered(before.confidence, scan.confidence, measurement),
-        kind=None if before.kind is None else scan.kind_after(before.kind, measurement),
-        seen=sensor.seen_if_detected(before.seen),
+        _remember(local.history[row], measurement),
+        confidence=sensor.remembered(confidence, scan.confidence, measurement),
+        kind=None if local.kind is None else scan.kind_after(local.kind[row], measurement),
+        seen=sensor.seen_if_detected(None if local.seen is None else local.seen[row]),
     )
 
 
@@ -199,15 +198,15 @@ def _fused(
     cov = np.zeros((n, 4, 4))
     cov[:, :2, :2] = cov[:, 2:, 2:] = sensor.R
     priced = association.undetected
-    W = gain(ppp.cov, priced.innovation)
-    after = corrected_cov(ppp.cov, W, sensor.R, priced.innovation)
     z = np.ascontiguousarray(scan.position[measurements])
     if compiled.native is not None:
-        columns = *priced.innovation.columns(), priced.log_height
-        compiled.native.fuse(*columns, ppp.mean, W, after, z, priced.gate, mean, cov)
+        components = *priced.innovation.columns(), priced.log_height, ppp.mean, ppp.cov
+        compiled.native.fuse(*components, sensor.R, z, priced.gate, mean, cov)
         return mean, cov
     pairs = priced.pairs(z)
     if len(pairs.row):
+        W = gain(ppp.cov, priced.innovation)
+        after = corrected_cov(ppp.cov, W, sensor.R, priced.innovation)
         order = np.argsort(pairs.measurement, kind="stable")
         component, target = pairs.row[order], pairs.measurement[order]
         first = np.flatnonzero(np.diff(target, prepend=-1))
