@@ -9,6 +9,7 @@ import pytest
 from metric_builders import run_of, tracks_frame, truth_frame
 
 from pmbm.errors import InputError
+from pmbm.metrics.argoverse1 import argoverse1_counts
 from pmbm.metrics.benchmarks import (
     evaluate_argoverse1,
     evaluate_kitti,
@@ -17,7 +18,7 @@ from pmbm.metrics.benchmarks import (
     evaluate_waymo,
 )
 from pmbm.metrics.gaps import fill_gaps
-from pmbm.metrics.kitti import KittiScene
+from pmbm.metrics.kitti import KittiCounts, KittiScene, kitti_scores
 from pmbm.metrics.result import combine
 from pmbm.metrics.scene import Scene, make_scene, pair_overlap, scene_of
 from pmbm.metrics.trackeval import SimilarScene
@@ -93,6 +94,12 @@ class TestKitti:
         assert scores["samota"] == pytest.approx(1.0)
         assert scores["amota"] == pytest.approx((20 * 0.5 + 20 * 1.0) / 40)
 
+    @pytest.mark.parametrize(("false", "expected"), [(0, 1.0), (2, 0.6), (20, 0.0)])
+    def test_accuracy_scaled_by_recall(self, false, expected):
+        # Half of ten objects found is all that a recall of 1/2 asks for: 1 - false / 5.
+        counts = KittiCounts(frames=10, truths=10, matches=5, misses=5, false_positives=false)
+        assert kitti_scores(counts, 0.5)["sMOTA"] == pytest.approx(expected)
+
     def test_without_truth_nothing_is_defined(self):
         value = evaluate_kitti([kitti(scene([{}], [{7: (0, 0)}]))], 0.25)
         assert value["mota"].value is None
@@ -158,6 +165,19 @@ class TestArgoverse1:
         assert scores["mota"] == 1.0
         assert scores["motp_c"] == pytest.approx(0.5)
         assert evaluate_argoverse1([made], farthest=200)["mota"].value == 0.0
+
+    def test_ranges_are_counted_from_the_sensor(self):
+        made = scene([{1: (210, 0), 2: (-90, 0)}] * 2, [{7: (210, 0)}] * 2)
+        counts = argoverse1_counts(made, sensor=[(200, 0, 0), (0, 0, 0)])
+        # Only car 1 is near in the first frame, only car 2 in the second.
+        assert (counts.clear.matches, counts.clear.misses) == (1, 1)
+
+    def test_logs_are_counted_together(self):
+        found = scene([{1: (10, 0)}] * 3, [{7: (10, 0)}] * 3)
+        missed = scene([{1: (10, 0)}], [{7: (50, 0)}])
+        scores = evaluate_argoverse1([found, missed]).scalars()
+        assert scores["mota"] == pytest.approx(1 - 2 / 4)
+        assert (scores["misses"], scores["false_positives"], scores["truths"]) == (1, 1, 4)
 
     def test_orientation_and_size_of_matched_boxes(self):
         truth = truth_frame({1: (10, 0)}, yaw=[3.0], size=[[4.0, 2.0, 1.5]])
