@@ -18,6 +18,7 @@ from __future__ import annotations
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.inspection import Inspection
 from pmbm.filter.marks import Kinds, Visibility
+from pmbm.filter.smoothing import smooth
 from pmbm.filter.tracker import PMBMTracker
 
-__all__ = ["Inspection", "Kinds", "PMBMConfig", "PMBMTracker", "Visibility"]
+__all__ = ["Inspection", "Kinds", "PMBMConfig", "PMBMTracker", "Visibility", "smooth"]

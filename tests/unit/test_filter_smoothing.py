@@ -1,0 +1,105 @@
+"""The batch smoother against filterpy's, and what it adds to the online output."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.common import Q_continuous_white_noise
+from filterpy.kalman import KalmanFilter
+
+from pmbm.errors import InputError
+from pmbm.filter import PMBMConfig, PMBMTracker, smooth
+from pmbm.types import Detections
+
+
+def frame(when, xy, length=4.0):
+    xy = np.reshape(np.asarray(xy, float), (-1, 2))
+    n = len(xy)
+    return Detections(
+        time=when,
+        position=np.column_stack([xy, np.ones(n)]),
+        size=np.tile([length, 2.0, 1.5], (n, 1)),
+        yaw=np.zeros(n),
+        score=np.ones(n),
+        label=np.zeros(n, int),
+    )
+
+
+def drive(seed, frames=60, gap=()):
+    """One car's true path and its detections; none in the frames of `gap`."""
+    rng = np.random.default_rng(seed)
+    x, v, made, truth = np.array([-20.0, 3.0]), np.array([8.0, 0.5]), [], []
+    for k in range(frames):
+        v = v + rng.normal(0, 0.4, 2)
+        x = x + 0.1 * v
+        truth.append(x)
+        z = [] if k in gap else [x + rng.normal(0, 0.3, 2)]
+        made.append(frame(0.1 * k, z, length=4.0 + rng.normal(0, 0.3)))
+    return np.array(truth), made
+
+
+def test_it_is_the_rauch_tung_striebel_smoother():
+    _, frames = drive(0, gap=(20, 33))
+    config = PMBMConfig.textbook(clutter_rate=1e-6)
+    steps = [PMBMTracker.step(t, one) for t in [PMBMTracker(config)] for one in frames]
+    after = smooth(steps, config)
+    begun = next(k for k, one in enumerate(steps) if len(one))
+    kf = KalmanFilter(dim_x=4, dim_z=2)
+    Q = Q_continuous_white_noise(2, 0.1, spectral_density=2.0, block_size=2, order_by_dim=False)
+    kf.F, kf.Q = np.eye(4), Q
+    kf.F[0, 2] = kf.F[1, 3] = 0.1
+    n = len(steps) - begun
+    means = np.array([[*s.position[0, :2], *s.velocity[0]] for s in steps[begun:]])
+    covs = np.array([s.covariance[0] for s in steps[begun:]])
+    xs, ps, _, _ = kf.rts_smoother(means, covs, Fs=[kf.F] * n, Qs=[Q] * n)
+    got = np.array([[*s.position[0, :2], *s.velocity[0]] for s in after[begun:]])
+    assert got == pytest.approx(xs, rel=1e-9, abs=1e-9)
+    assert np.array([s.covariance[0] for s in after[begun:]]) == pytest.approx(ps, abs=1e-9)
+
+
+def test_later_frames_make_earlier_ones_better():
+    before, behind = [], []
+    for seed in range(5):
+        truth, frames = drive(seed)
+        tracker = PMBMTracker()
+        steps = [tracker.step(one) for one in frames]
+        for one, two, x in zip(steps, smooth(steps), truth, strict=True):
+            if len(one):
+                before.append(np.hypot(*(one.position[0, :2] - x)))
+                behind.append(np.hypot(*(two.position[0, :2] - x)))
+                assert two.size[0, 0] == pytest.approx(4.0, abs=0.25)
+    assert np.mean(behind) < 0.85 * np.mean(before)
+
+
+def test_gaps_are_filled_and_tracks_reach_back():
+    truth, frames = drive(1, gap=(26, 27))
+    early = PMBMConfig(report_above=0.01, initial_objects=0.0)
+    tracker = PMBMTracker(early)
+    steps = [tracker.step(one) for one in frames]
+    online = [one.take(one.score > 0.5) for one in steps]
+    after = smooth([*steps[:27], steps[27].take([]), *steps[28:]], early)
+    assert len(after[27]) == 1
+    assert np.hypot(*(after[27].position[0, :2] - truth[27])) < 1.0
+    first = next(k for k, one in enumerate(online) if len(one))
+    assert first > 0
+    assert len(after[first - 1]) == 1
+    assert after[first - 1].id[0] == after[first].id[0]
+
+
+def test_what_never_was_probable_is_not_reported():
+    tracker = PMBMTracker(PMBMConfig(report_above=0.001, initial_objects=0.0, recycle_below=1e-4))
+    steps = [tracker.step(frame(0.1 * k, [[10, 10]] if k == 3 else [])) for k in range(8)]
+    assert sum(map(len, steps)) > 0
+    assert sum(map(len, smooth(steps))) == 0
+    assert smooth([]) == ()
+
+
+def test_what_cannot_be_smoothed_is_refused():
+    tracker = PMBMTracker()
+    steps = [tracker.step(frame(0.1 * k, [[1.0, 1.0]])) for k in range(3)]
+    with pytest.raises(InputError, match="order"):
+        smooth(steps[::-1])
+    with pytest.raises(InputError, match="covariance"):
+        smooth([replace(steps[0], covariance=None)])
