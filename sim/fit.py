@@ -111,11 +111,13 @@ def _of(evidence: Evidence, keep: BoolArray) -> _Sample:
 
 
 def _fit_objects(sample: _Sample, scale: _ScoreScale) -> ObjectModel:
-    if len(sample.hits.score) == 0:
+    if len(sample.chances.found) == 0:
         return ObjectModel()
     probability, odds = _fit_probability(sample.chances)
     values: dict[str, Any] = {"detection_probability": probability, "visibility_odds": odds}
     expected = ObjectModel(**values).probability(sample.chances.distance, sample.chances.visibility)
+    if len(sample.hits.score) == 0:
+        return ObjectModel(**values)
     return ObjectModel(
         **values,
         miss_burst_length=_fit_bursts(sample.chances, expected),
@@ -237,6 +239,12 @@ def _fit_errors(sample: _Sample, scale: _ScoreScale) -> dict[str, Any]:
     kept = np.maximum(1 - _binned(flipped.astype(float), bins), 0.1)
     columns = [*position_error.T, *size_error.T, straight]
     deviations = [spread(column) for column in columns]
+    # Noise and pull together give the errors of size that there were.
+    gap = typical - hits.true_size
+    for axis in range(3):
+        pulled = np.square(pull) * _binned(np.square(gap[:, axis]), bins)
+        total = _binned(np.square(hits.size[:, axis] - hits.true_size[:, axis]), bins)
+        deviations[3 + axis] = np.sqrt(np.maximum(total - pulled, np.square(0.01)))
     deviations[6] = deviations[6] / np.sqrt(kept)
     standard = np.stack(
         [
@@ -354,8 +362,8 @@ def _score_scale(evidence: Evidence) -> _ScoreScale:
         bins = label * 100 + (distance / _BIN_WIDTH).astype(np.int64)
         split.append((score, np.unique(bins, return_inverse=True)[1], label))
 
-    least = min(score.min(initial=1.0) for score, _, _ in groups)
-    floor = float(np.clip(least - 1e-3, 0.0, 0.99))
+    scores = np.concatenate([score for score, _, _ in groups])
+    floor = float(np.clip(scores.min() - 1e-3, 0.0, 0.99)) if len(scores) else 0.0
 
     def loss(x: FloatArray) -> float:
         scale = _ScoreScale(float(np.exp(x[0])), float(x[1]), floor)

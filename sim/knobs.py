@@ -103,7 +103,7 @@ class Curve:
 
     def plain(self) -> float | dict[str, list[float]]:
         """As a file says it."""
-        if len(set(self.value)) == 1:
+        if len(self.value) == 1:
             return self.value[0]
         return {"at": list(self.at), "value": list(self.value)}
 

@@ -1,0 +1,245 @@
+"""Real recordings and their model side by side: recall, noise, clutter, runs of misses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from pmbm.labels import Label
+from pmbm.types import BoolArray, FloatArray, IntArray, Recording
+from sim.detector import DetectorModel
+from sim.evidence import Evidence, gather
+from sim.replay import replay
+
+RANGE_EDGES: Final = (0.0, 20.0, 40.0, 60.0, np.inf)
+"""m."""
+_FEWEST: Final = 50
+_NOISES: Final = ("radial", "lateral", "length", "width", "yaw")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of recordings: a sum over a weight, so that recordings add up.
+
+    name : such as "recall car 20-40 m".
+    total, weight : the figure is total / weight; for noise, the root of it.
+    """
+
+    name: str
+    total: float
+    weight: float
+
+    @property
+    def value(self) -> float:
+        """The figure itself."""
+        ratio = self.total / self.weight if self.weight else np.nan
+        return float(np.sqrt(ratio)) if self.name.startswith("noise") else ratio
+
+
+def figures(recording: Recording, detector: DetectorModel | None = None) -> dict[str, Figure]:
+    """All figures of one recording with known origins, by name.
+
+    For a recording that `detector` made, recall is its mean detection probability: what recall
+    would be over ever more trials.
+    """
+    evidence = gather([recording])
+    chances = evidence.chances
+    found_share = chances.found.astype(float)
+    if detector is not None:
+        for value in np.unique(chances.label).tolist():
+            rows = chances.label == value
+            found_share[rows] = detector.of(Label(value)).probability(
+                chances.distance[rows], chances.visibility[rows]
+            )
+    found = {}
+    for name, total, weight in [
+        *_recall(evidence, found_share),
+        *_noise(evidence),
+        *_clutter(evidence),
+        *_runs(evidence),
+    ]:
+        found[name] = Figure(name, float(total), float(weight))
+    return found
+
+
+def pooled(parts: Sequence[dict[str, Figure]]) -> dict[str, Figure]:
+    """The figures of all recordings together."""
+    names = dict.fromkeys(name for part in parts for name in part)
+    return {
+        name: Figure(
+            name,
+            sum(part[name].total for part in parts if name in part),
+            sum(part[name].weight for part in parts if name in part),
+        )
+        for name in names
+    }
+
+
+def modelled(
+    detector: DetectorModel, recordings: Sequence[Recording], seed: int, trial: int = 0
+) -> list[Recording]:
+    """What the detector makes of the truth of recordings, each with a seed of its own."""
+    return [
+        detector.detect(replay(recording), seed + number, trial)
+        for number, recording in enumerate(recordings)
+    ]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A figure of real recordings beside that of the model on the same truth.
+
+    name : of the figure.
+    real, model : its values.
+    weight : what the real one rests on: rows, frames or runs.
+    interval : 95 % bootstrap interval of model - real (of their ratio less one for noise and
+        clutter), or None.
+    """
+
+    name: str
+    real: float
+    model: float
+    weight: float
+    interval: tuple[float, float] | None = None
+
+    @property
+    def difference(self) -> float:
+        """Model less real; relative for all but recall."""
+        return _difference(self.name, self.real, self.model)
+
+
+def compare(
+    real: Sequence[dict[str, Figure]], model: Sequence[dict[str, Figure]]
+) -> list[Comparison]:
+    """All figures that rest on enough, pooled over recordings."""
+    left, right = pooled(real), pooled(model)
+    return [
+        Comparison(name, figure.value, right[name].value, figure.weight)
+        for name, figure in left.items()
+        if figure.weight >= _FEWEST and name in right and right[name].weight > 0
+    ]
+
+
+def bootstrap(
+    fitted_real: Sequence[dict[str, Figure]],
+    fitted_model: Sequence[dict[str, Figure]],
+    held_real: Sequence[dict[str, Figure]],
+    held_model: Sequence[dict[str, Figure]],
+    *,
+    draws: int = 2000,
+    seed: int = 0,
+) -> list[Comparison]:
+    """Figures on held-back recordings, with the interval that resampling the fitted ones gives.
+
+    As many recordings as are held back are drawn, with replacement, of the fitted ones; the
+    interval holds the middle 95 % of the differences of model and real over such draws.
+    """
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(0, len(fitted_real), (draws, len(held_real)))
+    result = []
+    for item in compare(held_real, held_model):
+        sums = [
+            np.array(
+                [
+                    (part[item.name].total, part[item.name].weight) if item.name in part else (0, 0)
+                    for part in parts
+                ]
+            )[rows].sum(axis=1)
+            for parts in (fitted_real, fitted_model)
+        ]
+        differences = [
+            _difference(item.name, Figure(item.name, *a).value, Figure(item.name, *b).value)
+            for a, b in zip(*sums, strict=True)
+            if a[1] > 0 and b[1] > 0
+        ]
+        if len(differences) < draws / 2:
+            continue
+        low, high = np.percentile(differences, [2.5, 97.5])
+        result.append(
+            Comparison(item.name, item.real, item.model, item.weight, (float(low), float(high)))
+        )
+    return result
+
+
+def _difference(name: str, real: float, model: float) -> float:
+    if name.startswith("recall"):
+        return model - real
+    return model / real - 1 if real > 0 else np.nan
+
+
+_Rows = list[tuple[str, float, float]]
+
+
+def _cells(label: IntArray, distance: FloatArray) -> list[tuple[str, BoolArray]]:
+    """Names and masks of each label and range."""
+    cells = []
+    for value in np.unique(label).tolist():
+        for low, high in pairwise(RANGE_EDGES):
+            reach = f"{low:.0f}-{high:.0f} m" if np.isfinite(high) else f"over {low:.0f} m"
+            inside = (label == value) & (distance >= low) & (distance < high)
+            cells.append((f"{Label(value).name.lower()} {reach}", inside))
+    return cells
+
+
+def _recall(evidence: Evidence, found: FloatArray) -> _Rows:
+    chances = evidence.chances
+    rows = [
+        (f"recall {name}", found[inside].sum(), inside.sum())
+        for name, inside in _cells(chances.label, chances.distance)
+    ]
+    for value in np.unique(chances.label).tolist():
+        for name, low, high in (
+            ("hidden", -1, 0.5),
+            ("partly hidden", 0.5, 0.9),
+            ("clear", 0.9, 2),
+        ):
+            inside = (
+                (chances.label == value) & (chances.visibility >= low) & (chances.visibility < high)
+            )
+            what = f"recall {Label(value).name.lower()} {name}"
+            rows.append((what, found[inside].sum(), inside.sum()))
+    return rows
+
+
+def _noise(evidence: Evidence) -> _Rows:
+    hits, chances = evidence.hits, evidence.chances.take(evidence.hits.chance)
+    straight = np.abs(hits.yaw_error) < np.pi / 2
+    size = hits.size - hits.true_size
+    rows: _Rows = []
+    for name, inside in _cells(chances.label, chances.distance):
+        for noise, column in zip(
+            _NOISES,
+            (hits.error[:, 0], hits.error[:, 1], size[:, 0], size[:, 1], hits.yaw_error),
+            strict=True,
+        ):
+            keep = inside & straight if noise == "yaw" else inside
+            rows.append((f"noise {noise} {name}", np.square(column[keep]).sum(), keep.sum()))
+    return rows
+
+
+def _clutter(evidence: Evidence) -> _Rows:
+    labels = np.union1d(evidence.falses.label, evidence.chances.label).tolist()
+    frames = evidence.frames.sum()
+    return [
+        (f"clutter {Label(v).name.lower()} a frame", (evidence.falses.label == v).sum(), frames)
+        for v in labels
+    ]
+
+
+def _runs(evidence: Evidence) -> _Rows:
+    """Mean length of runs of misses: misses over runs."""
+    chances = evidence.chances
+    rows: _Rows = []
+    for value in np.unique(chances.label).tolist():
+        part = chances.take(chances.label == value)
+        order = np.lexsort((part.frame, part.object_id))
+        missed = ~part.found[order]
+        follows = (np.diff(part.object_id[order]) == 0) & (np.diff(part.frame[order]) == 1)
+        begins = missed & ~np.append(False, missed[:-1] & follows)
+        what = f"misses in a row {Label(value).name.lower()}"
+        rows.append((what, missed.sum(), begins.sum()))
+    return rows
