@@ -178,6 +178,11 @@ class TestArgoverse1:
         scores = evaluate_argoverse1([found, missed]).scalars()
         assert scores["mota"] == pytest.approx(1 - 2 / 4)
         assert (scores["misses"], scores["false_positives"], scores["truths"]) == (1, 1, 4)
+        assert scores["idf1"] == pytest.approx(2 * 3 / 8)
+
+    @pytest.mark.parametrize(("x", "truths"), [(0.0, 0), (0.001, 1), (99.999, 1), (100.0, 0)])
+    def test_the_range_is_strict_on_both_sides(self, x, truths):
+        assert evaluate_argoverse1([scene([{1: (x, 0)}], [{}])])["truths"].value == truths
 
     def test_orientation_and_size_of_matched_boxes(self):
         truth = truth_frame({1: (10, 0)}, yaw=[3.0], size=[[4.0, 2.0, 1.5]])
