@@ -24,42 +24,78 @@ def components(
 ) -> tuple[int, Index, Index]:
     """Connected components of the graph of clusters and measurements tied by gated pairs.
 
-    Gives their number, the component of each cluster (C,) and of each measurement (M,).  Component
-    numbers rise with the clusters' as long as none are joined.
+    Gives their number, the component of each cluster (C,) and of each measurement (M,).  Clusters
+    that are joined with none come first, in their order; then those that are; then measurements in
+    the gate of none.
     """
     component = np.full(measurements, -1, np.intp)
     component[pair_measurement] = pair_cluster
-    if np.array_equal(component[pair_measurement], pair_cluster):
-        # No measurement ties two clusters together.
-        alone = np.flatnonzero(component < 0)
-        component[alone] = clusters + np.arange(len(alone))
-        return clusters + len(alone), np.arange(clusters), component
-    nodes = clusters + measurements
-    graph = coo_array(
-        (np.ones(len(pair_cluster), np.int8), (pair_cluster, clusters + pair_measurement)),
-        shape=(nodes, nodes),
-    )
-    number, label = connected_components(graph, directed=False)
-    label = label.astype(np.intp)
-    return int(number), label[:clusters], label[clusters:]
+    of_cluster, joined = np.arange(clusters), clusters
+    ties = np.flatnonzero(component[pair_measurement] != pair_cluster)
+    if len(ties):
+        one, other = pair_cluster[ties], component[pair_measurement[ties]]
+        tied, node = np.unique(np.concatenate([one, other]), return_inverse=True)
+        label = _connected(node[: len(ties)], node[len(ties) :], len(tied))
+        apart = np.ones(clusters, bool)
+        apart[tied] = False
+        of_cluster = np.cumsum(apart) - 1
+        of_cluster[tied] = clusters - len(tied) + label
+        joined = clusters - len(tied) + int(label.max()) + 1
+    gated = component >= 0
+    alone = np.flatnonzero(~gated)
+    component[gated] = of_cluster[component[gated]]
+    component[alone] = joined + np.arange(len(alone))
+    return joined + len(alone), of_cluster, component
+
+
+def _connected(one: Index, other: Index, nodes: int) -> Index:
+    """(nodes,) number, from 0, of the connected component of each node of a small graph.
+
+    The least node of a component spreads along its edges; scipy's routine costs more than a whole
+    frame of few objects.
+    """
+    least = np.arange(nodes)
+    while True:
+        low = np.minimum(least[one], least[other])
+        spread = least.copy()
+        np.minimum.at(spread, one, low)
+        np.minimum.at(spread, other, low)
+        spread = spread[spread]
+        if np.array_equal(spread, least):
+            return np.unique(least, return_inverse=True)[1]
+        least = spread
 
 
 def join(table: Globals, component: Index, number: int, cap: int) -> Globals:
-    """The product of the hypotheses of the clusters of each component.
+    """The product of the hypotheses of the clusters of each component, as `components` numbers
+    them: clusters that stay apart, then products, then components without clusters, which get one
+    empty hypothesis.
 
-    component (C,) of each cluster, out of `number`.  A component without clusters gets one empty
-    hypothesis.  Where a product would have more than `cap` rows (fewer, by `LARGEST_TABLE`), the
-    best are kept; they are exact, since a row among the best of a product is made of rows among
-    the best of each factor.
+    Where a product would have more than `cap` rows (fewer, by `LARGEST_TABLE`), the best are kept;
+    they are exact, since a row among the best of a product is made of rows among the best of each
+    factor.
     """
-    if np.array_equal(component, np.arange(table.clusters)):
+    joined = np.bincount(component, minlength=number)[component] > 1
+    if not joined.any():
         return _with_empty_clusters(table, number - table.clusters)
-    joint, source, joint_component = _product_rows(table, component, number, cap)
-    rows = len(joint_component)
-    count = np.bincount(joint, np.diff(table.start)[source], minlength=rows).astype(np.intp)
-    member = table.member[ragged(table.start[source], np.diff(table.start)[source])]
-    log_weight = summed(table.log_weight[source], joint, rows)
-    return Globals(joint_component, log_weight, starts(count), member)
+    rows_joined = joined[table.cluster]
+    apart = _rows_of(table, ~rows_joined)
+    products = _product(_rows_of(table, rows_joined), component[joined] - apart.clusters, cap)
+    known = _stacked([apart, products])
+    return _with_empty_clusters(known, number - known.clusters)
+
+
+def _product(table: Globals, component: Index, cap: int) -> Globals:
+    """The product of the clusters of each component (C,), numbered from 0."""
+    joint, source, joint_component = _product_rows(table, component, int(component.max()) + 1, cap)
+    rows, length = len(joint_component), np.diff(table.start)
+    count = np.bincount(joint, length[source], minlength=rows).astype(np.intp)
+    return Globals(
+        joint_component,
+        summed(table.log_weight[source], joint, rows),
+        starts(count),
+        table.member[ragged(table.start[source], length[source])],
+    )
 
 
 def _with_empty_clusters(table: Globals, more: int) -> Globals:
@@ -202,8 +238,11 @@ def merge_equal(table: Globals) -> Globals:
 def row_limit(table: Globals, cap: int) -> Index:
     """(C,) hypotheses that each cluster may have: `cap`, or fewer where that many would hold more
     than `LARGEST_TABLE` members."""
+    length = np.diff(table.start)
+    if length.max(initial=0) * cap <= LARGEST_TABLE:
+        return np.full(table.clusters, cap)
     rows = np.bincount(table.cluster, minlength=table.clusters)
-    members = summed(np.diff(table.start), table.cluster, table.clusters)
+    members = summed(length, table.cluster, table.clusters)
     return np.clip(LARGEST_TABLE * rows / np.maximum(members, 1.0), 1, cap).astype(np.intp)
 
 
@@ -215,10 +254,15 @@ def factor(table: Globals, track: Index, tolerance: float) -> Globals:
     pairs of local hypotheses, of |P(both) - P(one) P(other)|; groups are connected by pairs above
     `tolerance`.
     """
-    members = summed(np.diff(table.start), table.cluster, table.clusters)
+    if tolerance <= 0:
+        return table
+    if compiled.native is not None:
+        columns = table.columns()
+        return Globals(*compiled.native.factor(*columns, track, tolerance, _WORTH_FACTORING))
     rows = np.bincount(table.cluster, minlength=table.clusters)
+    members = summed(np.diff(table.start), table.cluster, table.clusters)
     large = (members > _WORTH_FACTORING) & (rows >= 4)
-    if tolerance <= 0 or not large.any():
+    if not large.any():
         return table
     parts = [_rows_of(table, ~large[table.cluster])]
     first_row = _first_row(table)
@@ -274,8 +318,9 @@ def _marginal(choice: Index, weight: FloatArray) -> Globals:
 def _rows_of(table: Globals, keep: np.ndarray) -> Globals:
     """Only these rows, whole clusters of them, numbered from 0 again."""
     count = np.diff(table.start)
+    cluster = table.cluster[keep]
     return Globals(
-        np.unique(table.cluster[keep], return_inverse=True)[1],
+        np.cumsum(np.diff(cluster, prepend=cluster[:1]) != 0),
         table.log_weight[keep],
         starts(count[keep]),
         table.member[np.repeat(keep, count)],

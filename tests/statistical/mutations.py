@@ -202,15 +202,15 @@ PLANTS = [
     _filter(
         "a product of clusters forgets a factor's weight",
         "clusters",
-        "    log_weight = summed(table.log_weight[source], joint, rows)\n",
-        "    log_weight = np.zeros(rows)\n    log_weight[joint] = table.log_weight[source]\n",
+        "        summed(table.log_weight[source], joint, rows),\n",
+        "        summed(\n            table.log_weight[source] * (np.diff(joint, prepend=-1) > 0), joint, rows\n"
+        "        ),\n",
     ),
     _filter(
-        "clusters joined by cluster, not by measurement",
+        "a shared measurement joins no clusters",
         "clusters",
-        "        shape=(nodes, nodes),\n",
-        "        shape=(nodes, nodes),\n    ) * 0 + coo_array(\n"
-        "        (np.zeros(0), (np.zeros(0, int), np.zeros(0, int))), shape=(nodes, nodes)\n",
+        "    if len(ties):\n",
+        "    if False:\n",
     ),
     _filter(
         "dependent groups taken apart",

@@ -11,8 +11,11 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtr
 
+from pmbm.filter.clusters import components
 from pmbm.filter.density import Density, Globals, Locals, Mixture
 from pmbm.filter.estimation import (
     best_hypothesis,
@@ -157,6 +160,21 @@ def test_a_crowded_gate_loses_no_one():
     assert (
         np.column_stack([row, column]).tolist() == np.argwhere(distance <= radius[:, None]).tolist()
     )
+
+
+@given(st.lists(st.tuples(st.integers(0, 14), st.integers(0, 9)), max_size=25))
+def test_components_are_those_of_the_graph(pairs):
+    cluster, measurement = np.array(sorted(set(pairs)), int).reshape(-1, 2).T
+    number, of_cluster, of_measurement = components(15, 10, cluster, measurement)
+    edges = csr_array((np.ones(len(cluster)), (cluster, 15 + measurement)), shape=(25, 25))
+    expected_number, label = connected_components(edges, directed=False)
+    got = np.concatenate([of_cluster, of_measurement])
+    assert number == expected_number
+    assert len(set(zip(got.tolist(), label.tolist(), strict=True))) == number
+    assert set(got.tolist()) == set(range(number))
+    single = np.bincount(of_cluster, minlength=number) == 1
+    assert single[: single.sum()].all()
+    assert (np.diff(of_cluster[single[of_cluster]]) == 1).all()
 
 
 def test_mixtures_keep_their_moments():
