@@ -26,7 +26,7 @@ class Inspection:
     hypothesis_existence (H,), mean (H,4), cov (H,4,4) : of the object, if the hypothesis holds.
     history (H,L) : measurement taken at each of the last L steps, `MISSED` or `BEFORE`.
     reduced : what the last step removed.
-    seconds : CPU time of each part of the last step (never part of a result).
+    seconds : what each part of the last step took (never part of a result).
     """
 
     time: float

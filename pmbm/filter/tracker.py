@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from time import process_time
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -213,14 +213,15 @@ class PMBMTracker:
 
 
 class _Clock:
-    """CPU time between readings, by what was done in between."""
+    """Time between readings, by what was done in between.  The system's CPU clock can take longer
+    to read than a step takes."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self._last = process_time()
+        self._last = perf_counter()
 
     def read(self, what: str) -> None:
-        now = process_time()
+        now = perf_counter()
         self.seconds[what], self._last = now - self._last, now
 
 
