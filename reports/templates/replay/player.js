@@ -322,7 +322,7 @@ class Player {
     const wrong = rows.filter((row) => tracker.false[row]).length;
     const counts = `${rows.length} tracks · ${tracker.missed.at[state.frame].length} missed · ${wrong} false`;
     const switches = tracker.switches.filter(([frame]) => frame <= state.frame).length;
-    const words = `${counts} · ${switches} id switch${switches === 1 ? "" : "es"} so far`;
+    const words = `${counts} · ${switches} switched so far`;
     return state.compare ? `${tracker.name}: ${words}` : words;
   }
 
