@@ -107,6 +107,13 @@ Output<double> log_density(Table<double> expected, Input<double> l11, Input<doub
 }
 
 // Returns means (n,4) and covariances (n,4,4), flat.
+nb::tuple move(Table<double> mean, Table<double> cov, Table<double> F, Table<double> Q) {
+    std::vector<double> means, covs;
+    pmbm::move(mean.data(), cov.data(), mean.shape(0), F.data(), Q.data(), means, covs);
+    return nb::make_tuple(hand_over(std::move(means)), hand_over(std::move(covs)));
+}
+
+// Likewise.
 nb::tuple correct(Table<double> mean, Table<double> cov, Input<double> l11, Input<double> l21,
                   Input<double> l22, Table<double> R, Input<std::int64_t> row, Table<double> y) {
     std::vector<double> means, covs;
@@ -195,6 +202,18 @@ nb::tuple merge_equal(Input<std::int64_t> cluster, Input<double> log_weight,
     return hand_over(pmbm::merged(view(cluster, log_weight, start, member)));
 }
 
+nb::tuple factor(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
+                 Input<std::int64_t> member, Input<std::int64_t> track, double tolerance,
+                 std::int64_t worth) {
+    pmbm::Table apart;
+    {
+        nb::gil_scoped_release released;
+        apart = pmbm::factored(view(cluster, log_weight, start, member), track.data(), tolerance,
+                               worth);
+    }
+    return hand_over(std::move(apart));
+}
+
 Output<std::int64_t> likeliest(Input<std::int64_t> track, Input<double> mass,
                                std::int64_t tracks) {
     return hand_over(pmbm::likeliest(track.data(), mass.data(), track.size(),
@@ -217,6 +236,7 @@ NB_MODULE(_native, m) {
     m.def("gate", &gate, nb::arg("expected"), nb::arg("l11"), nb::arg("l21"), nb::arg("l22"),
           nb::arg("z"), nb::arg("threshold"));
     m.def("log_density", &log_density);
+    m.def("move", &move);
     m.def("correct", &correct);
     m.def("fuse", &fuse);
     m.def("best_children", &best_children);
@@ -225,5 +245,6 @@ NB_MODULE(_native, m) {
     m.def("split", &split);
     m.def("merge_equal", &merge_equal);
     m.def("likeliest", &likeliest);
+    m.def("factor", &factor);
     m.def("probability", &probability);
 }

@@ -183,6 +183,32 @@ struct Correction {
     }
 };
 
+// F m and F P F' + Q of n Gaussians.
+inline void move(const double* mean, const double* cov, std::size_t count, const double* F,
+                 const double* Q, std::vector<double>& means, std::vector<double>& covs) {
+    means.resize(4 * count);
+    covs.resize(16 * count);
+    for (std::size_t i = 0; i < count; ++i) {
+        const double *m = mean + 4 * i, *P = cov + 16 * i;
+        double FP[16];
+        for (int a = 0; a < 4; ++a) {
+            const double* f = F + 4 * a;
+            means[4 * i + a] = f[0] * m[0] + f[1] * m[1] + f[2] * m[2] + f[3] * m[3];
+            for (int b = 0; b < 4; ++b) {
+                FP[4 * a + b] = f[0] * P[b] + f[1] * P[4 + b] + f[2] * P[8 + b] + f[3] * P[12 + b];
+            }
+        }
+        double* out = covs.data() + 16 * i;
+        for (int a = 0; a < 4; ++a) {
+            for (int b = 0; b <= a; ++b) {
+                const double *row = FP + 4 * a, *f = F + 4 * b;
+                out[4 * a + b] = out[4 * b + a] = Q[4 * a + b] + row[0] * f[0] + row[1] * f[1] +
+                                                  row[2] * f[2] + row[3] * f[3];
+            }
+        }
+    }
+}
+
 // Kalman updates of the Gaussians row[i] by whitened innovations y (n,2).
 inline void correct(const double* mean, const double* cov, const Innovations& g, const double* R,
                     const std::int64_t* row, const double* y, std::size_t count,

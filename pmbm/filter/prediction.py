@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pmbm import compiled
 from pmbm.filter.density import Density, Mixture
 from pmbm.filter.models import Transition
 from pmbm.types import FloatArray
@@ -66,6 +67,9 @@ def _moved(
 ) -> tuple[FloatArray, FloatArray]:
     """F m and F P F' + Q.  F P F' of all rows is one matrix product on the flattened P."""
     F, Q = transition.F, transition.Q
+    if compiled.native is not None:
+        means, covs = compiled.native.move(mean, cov, F, Q)
+        return means.reshape(-1, 4), covs.reshape(-1, 4, 4)
     both_sides = (F[:, None, :, None] * F[:, None, :]).reshape(16, 16)
     moved = (cov.reshape(-1, 16) @ both_sides.T).reshape(-1, 4, 4) + Q
     return mean @ F.T, 0.5 * (moved + moved.transpose(0, 2, 1))

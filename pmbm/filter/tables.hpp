@@ -300,6 +300,151 @@ inline Table merged(const TableView& table) {
     return kept;
 }
 
+// One cluster as a dense table of local hypotheses: rows x tracks, both in order, -1 for absent.
+struct Dense {
+    Ints tracks, choice;
+    Floats weight;
+
+    Dense(const TableView& table, const std::int64_t* track, std::int64_t first,
+          std::int64_t last) {
+        for (auto e = table.start[first]; e < table.start[last]; ++e) {
+            tracks.push_back(track[table.member[e]]);
+        }
+        std::sort(tracks.begin(), tracks.end());
+        tracks.erase(std::unique(tracks.begin(), tracks.end()), tracks.end());
+        choice.assign(static_cast<std::size_t>(last - first) * tracks.size(), -1);
+        for (auto g = first; g < last; ++g) {
+            weight.push_back(std::exp(table.log_weight[g]));
+            for (auto e = table.start[g]; e < table.start[g + 1]; ++e) {
+                const auto at = std::lower_bound(tracks.begin(), tracks.end(),
+                                                 track[table.member[e]]) - tracks.begin();
+                choice[static_cast<std::size_t>(g - first) * tracks.size() +
+                       static_cast<std::size_t>(at)] = table.member[e];
+            }
+        }
+    }
+
+    std::int64_t at(std::size_t row, std::size_t column) const {
+        return choice[row * tracks.size() + column];
+    }
+};
+
+// _groups(): the group of each track of a dense table, numbered by their first tracks.
+inline Ints groups(const Dense& dense, double tolerance) {
+    const auto tracks = dense.tracks.size(), rows = dense.weight.size();
+    // Local hypotheses by name, those of a track together.
+    Ints names;
+    std::vector<std::size_t> first_name{0};
+    std::vector<std::size_t> name(dense.choice.size());
+    for (std::size_t column = 0; column < tracks; ++column) {
+        const auto begin = static_cast<std::ptrdiff_t>(names.size());
+        for (std::size_t row = 0; row < rows; ++row) {
+            if (dense.at(row, column) >= 0) names.push_back(dense.at(row, column));
+        }
+        std::sort(names.begin() + begin, names.end());
+        names.erase(std::unique(names.begin() + begin, names.end()), names.end());
+        first_name.push_back(names.size());
+        for (std::size_t row = 0; row < rows; ++row) {
+            name[row * tracks + column] = static_cast<std::size_t>(
+                std::lower_bound(names.begin() + begin, names.end(), dense.at(row, column)) -
+                names.begin());
+        }
+    }
+    Floats alone(names.size(), 0.0), both(names.size() * names.size(), 0.0);
+    std::vector<std::size_t> present;
+    for (std::size_t row = 0; row < rows; ++row) {
+        present.clear();
+        for (std::size_t column = 0; column < tracks; ++column) {
+            if (dense.at(row, column) >= 0) present.push_back(name[row * tracks + column]);
+        }
+        for (std::size_t i = 0; i < present.size(); ++i) {
+            alone[present[i]] += dense.weight[row];
+            for (std::size_t j = 0; j < i; ++j) {
+                both[present[i] * names.size() + present[j]] += dense.weight[row];
+            }
+        }
+    }
+    Ints group(tracks);
+    for (std::size_t t = 0; t < tracks; ++t) group[t] = static_cast<std::int64_t>(t);
+    for (std::size_t one = 0; one < tracks; ++one) {
+        for (std::size_t other = 0; other < one; ++other) {
+            if (group[one] == group[other]) continue;
+            double dependence = 0;
+            for (auto i = first_name[one]; i < first_name[one + 1]; ++i) {
+                for (auto j = first_name[other]; j < first_name[other + 1]; ++j) {
+                    dependence += std::abs(both[i * names.size() + j] - alone[i] * alone[j]);
+                }
+            }
+            if (!(dependence > tolerance)) continue;
+            const auto low = std::min(group[one], group[other]);
+            const auto high = std::max(group[one], group[other]);
+            std::replace(group.begin(), group.end(), high, low);
+        }
+    }
+    return group;
+}
+
+// _marginal(): the distinct choices of one group's tracks, with the weight of all rows alike.
+inline void append_marginal(Table& table, const Dense& dense,
+                            const std::vector<std::size_t>& columns, std::int64_t cluster) {
+    std::vector<std::size_t> order(dense.weight.size());
+    for (std::size_t row = 0; row < order.size(); ++row) order[row] = row;
+    const auto before = [&](std::size_t a, std::size_t b) {
+        for (const auto column : columns) {
+            if (dense.at(a, column) != dense.at(b, column)) {
+                return dense.at(a, column) < dense.at(b, column);
+            }
+        }
+        return false;
+    };
+    std::stable_sort(order.begin(), order.end(), before);
+    for (std::size_t i = 0, j = 0; i < order.size(); i = j) {
+        double weight = 0;
+        for (j = i; j < order.size() && !before(order[i], order[j]); ++j) {
+            weight += dense.weight[order[j]];
+        }
+        for (const auto column : columns) {
+            const auto member = dense.at(order[i], column);
+            if (member >= 0) table.member.push_back(member);
+        }
+        table.close_row(cluster, std::log(weight));
+    }
+}
+
+// factor(): clusters of more than `worth` members and at least four rows as the product of groups
+// of tracks that hardly depend on one another; they come after the others.
+inline Table factored(const TableView& table, const std::int64_t* track, double tolerance,
+                      std::int64_t worth) {
+    Table apart;
+    std::vector<std::pair<std::int64_t, std::int64_t>> large;
+    std::int64_t cluster = 0;
+    table.each_cluster([&](std::int64_t, std::int64_t first, std::int64_t last) {
+        if (table.start[last] - table.start[first] > worth && last - first >= 4) {
+            large.push_back({first, last});
+            return;
+        }
+        for (auto g = first; g < last; ++g) {
+            apart.member.insert(apart.member.end(), table.member + table.start[g],
+                                table.member + table.start[g + 1]);
+            apart.close_row(cluster, table.log_weight[g]);
+        }
+        ++cluster;
+    });
+    for (const auto& [first, last] : large) {
+        const Dense dense(table, track, first, last);
+        const auto group = groups(dense, tolerance);
+        for (std::size_t leader = 0; leader < group.size(); ++leader) {
+            if (group[leader] != static_cast<std::int64_t>(leader)) continue;
+            std::vector<std::size_t> columns;
+            for (std::size_t t = leader; t < group.size(); ++t) {
+                if (group[t] == group[leader]) columns.push_back(t);
+            }
+            append_marginal(apart, dense, columns, cluster++);
+        }
+    }
+    return apart;
+}
+
 // Of each track (T,) the row of the largest mass, the first of them.
 inline Ints likeliest(const std::int64_t* track, const double* mass, std::size_t rows,
                       std::size_t tracks) {
