@@ -214,6 +214,14 @@ nb::tuple factor(Input<std::int64_t> cluster, Input<double> log_weight, Input<st
     return hand_over(std::move(apart));
 }
 
+// Returns the rows kept, the members, the tracks kept, and the kept rows' tracks.
+nb::tuple compact(Input<std::int64_t> member, Input<std::int64_t> track, std::int64_t tracks) {
+    auto c = pmbm::compacted(member.data(), member.size(), track.data(), track.size(),
+                             static_cast<std::size_t>(tracks));
+    return nb::make_tuple(hand_over(std::move(c.rows)), hand_over(std::move(c.member)),
+                          hand_over(std::move(c.tracks)), hand_over(std::move(c.track)));
+}
+
 Output<std::int64_t> likeliest(Input<std::int64_t> track, Input<double> mass,
                                std::int64_t tracks) {
     return hand_over(pmbm::likeliest(track.data(), mass.data(), track.size(),
@@ -244,6 +252,7 @@ NB_MODULE(_native, m) {
     m.def("prune", &prune);
     m.def("split", &split);
     m.def("merge_equal", &merge_equal);
+    m.def("compact", &compact);
     m.def("likeliest", &likeliest);
     m.def("factor", &factor);
     m.def("probability", &probability);

@@ -18,6 +18,7 @@
 #include <cstdint>
 #include <functional>
 #include <limits>
+#include <utility>
 #include <vector>
 
 namespace pmbm {
@@ -50,6 +51,7 @@ class KBest {
     // `takers` and `taken` the index into `costs` of a way and an option that it uses.
     std::int64_t choose(const Options& o, std::int64_t k, double margin, std::vector<double>& costs,
                         std::vector<std::int64_t>& takers, std::vector<std::int64_t>& taken) {
+        if (o.rows == 1) return choose_one(o, k, margin, costs, takers, taken);
         rows_ = static_cast<std::int32_t>(o.rows);
         width_ = static_cast<std::int32_t>(o.columns + o.rows);
         clear();
@@ -81,6 +83,28 @@ class KBest {
     }
 
  private:
+    // choose() of a single row: its options, and nothing, in order of their costs.
+    std::int64_t choose_one(const Options& o, std::int64_t k, double margin,
+                            std::vector<double>& costs, std::vector<std::int64_t>& takers,
+                            std::vector<std::int64_t>& taken) {
+        by_cost_.assign(1, {0.0, o.count});
+        for (std::int64_t option = 0; option < o.count; ++option) {
+            by_cost_.push_back({o.cost[option], option});
+        }
+        std::sort(by_cost_.begin(), by_cost_.end());
+        std::int64_t found = 0;
+        for (const auto& [cost, option] : by_cost_) {
+            if (found == k || cost > by_cost_.front().first + margin) break;
+            if (option < o.count) {
+                takers.push_back(static_cast<std::int64_t>(costs.size()));
+                taken.push_back(o.first + option);
+            }
+            costs.push_back(cost);
+            ++found;
+        }
+        return found;
+    }
+
     static constexpr double kInf = std::numeric_limits<double>::infinity();
     static constexpr std::int32_t kNone = -1;
     static constexpr std::int32_t kHub = -2;
@@ -134,6 +158,8 @@ class KBest {
             return change < 0 ? node > other.node : change > other.change;
         }
     };
+
+    std::vector<std::pair<double, std::int64_t>> by_cost_;
 
     // The problem: the finite entries, row by row.
     std::int32_t rows_ = 0, width_ = 0;

@@ -190,19 +190,23 @@ def _surplus_tracks(density: Density, most: int) -> np.ndarray:
 
 def _compact(density: Density) -> Density:
     """Drop the local hypotheses and tracks that no global hypothesis mentions."""
-    table = density.hypotheses
-    used = np.zeros(len(density.local), bool)
-    used[table.member] = True
-    local = density.local.take(np.flatnonzero(used))
-    renumber = np.cumsum(used) - 1
-    alive = np.zeros(len(density.track_id), bool)
-    alive[local.track] = True
-    track_number = np.cumsum(alive) - 1
+    table, track = density.hypotheses, density.local.track
+    if compiled.native is not None:
+        rows, member, tracks, track = compiled.native.compact(
+            table.member, track, len(density.track_id)
+        )
+    else:
+        used = np.zeros(len(track), bool)
+        used[table.member] = True
+        rows, member = np.flatnonzero(used), (np.cumsum(used) - 1)[table.member]
+        alive = np.zeros(len(density.track_id), bool)
+        alive[track[rows]] = True
+        tracks, track = np.flatnonzero(alive), (np.cumsum(alive) - 1)[track[rows]]
     return replace(
         density,
-        local=replace(local, track=track_number[local.track]),
-        hypotheses=Globals(table.cluster, table.log_weight, table.start, renumber[table.member]),
-        track_id=density.track_id[alive],
+        local=replace(density.local.take(rows), track=track),
+        hypotheses=Globals(table.cluster, table.log_weight, table.start, member),
+        track_id=density.track_id[tracks],
     )
 
 

@@ -445,6 +445,33 @@ inline Table factored(const TableView& table, const std::int64_t* track, double 
     return apart;
 }
 
+// _compact(): the rows of the local table and the tracks that are mentioned, and what members and
+// the kept rows' tracks are called among them.
+struct Compacted {
+    Ints rows, member, tracks, track;
+};
+
+inline Compacted compacted(const std::int64_t* member, std::size_t members,
+                           const std::int64_t* track, std::size_t locals, std::size_t tracks) {
+    Compacted c;
+    Ints name(locals, -1), track_name(tracks, -1);
+    for (std::size_t e = 0; e < members; ++e) name[member[e]] = 0;
+    for (std::size_t row = 0; row < locals; ++row) {
+        if (name[row] < 0) continue;
+        name[row] = static_cast<std::int64_t>(c.rows.size());
+        c.rows.push_back(static_cast<std::int64_t>(row));
+        track_name[track[row]] = 0;
+    }
+    for (std::size_t t = 0; t < tracks; ++t) {
+        if (track_name[t] < 0) continue;
+        track_name[t] = static_cast<std::int64_t>(c.tracks.size());
+        c.tracks.push_back(static_cast<std::int64_t>(t));
+    }
+    for (std::size_t e = 0; e < members; ++e) c.member.push_back(name[member[e]]);
+    for (const auto row : c.rows) c.track.push_back(track_name[track[row]]);
+    return c;
+}
+
 // Of each track (T,) the row of the largest mass, the first of them.
 inline Ints likeliest(const std::int64_t* track, const double* mass, std::size_t rows,
                       std::size_t tracks) {
