@@ -150,12 +150,13 @@ class TestWaymo:
         # One for object 1's new track, one for object 2, which left while its track moved on.
         assert evaluate_waymo([waymo(made)], 0.7)["mota"].counts["mismatches"][0] == 2
 
-    def test_flat_boxes_overlap_nothing(self):
-        flat = np.array([[4.5, 1.9, 0.005]])
+    @pytest.mark.parametrize(("height", "overlap"), [(0.01, 0.0), (0.011, 1.0)])
+    def test_flat_boxes_overlap_nothing(self, height, overlap):
+        flat = np.array([[4.5, 1.9, height]])
         made = make_scene(
             [truth_frame({1: (0, 0)}, size=flat)], [tracks_frame({7: (0, 0)}, size=flat)]
         )
-        assert waymo_overlap(made).tolist() == [0.0]
+        assert waymo_overlap(made) == pytest.approx([overlap])
 
 
 class TestArgoverse1:

@@ -212,9 +212,11 @@ class TestTestbedMeasures:
         assert scores["track_life"] == pytest.approx(0.5)
 
     def test_ghost_time(self):
-        truth = [{CAR: (0, 0)}] * 2 + [{}] * 3
+        truth = [{CAR: (0, 0), OTHER_CAR: (50, 0)}] * 2 + [{}] * 3
         tracks = [{7: (0, 0)}] * 4 + [{}]
-        assert values(truth, tracks)["ghost_time"] == pytest.approx(0.2)
+        ghost = evaluate(*run_of(truth, tracks))["ghost_time"]
+        assert ghost.value == pytest.approx(0.2)
+        assert ghost.components["never_matched"] == 1
 
     def test_false_tracks(self):
         recording, reports = run_of([{CAR: (0, 0)}] * 3, [{7: (0, 0), 9: (30, 0)}] * 3)
@@ -262,6 +264,12 @@ class TestTestbedMeasures:
         assert scores["velocity_error"] == pytest.approx(2.5)
         assert scores["yaw_error"] == pytest.approx(2 * np.pi - 6.2)
         assert scores["yaw_flips"] == 0.5
+
+    @pytest.mark.parametrize(("yaw", "flips"), [(1.5, 0), (1.6, 1), (-1.6, 1), (-1.5, 0)])
+    def test_a_flip_is_more_than_a_quarter_turn(self, yaw, flips):
+        tracks = tracks_frame({7: (0, 0)}, yaw=[yaw])
+        scores = evaluate(recording_of([truth_frame({1: (0, 0)})]), [tracks]).scalars()
+        assert scores["yaw_flips"] == flips
 
     def test_nees_needs_covariances_and_anees_is_per_dimension(self):
         truth = truth_frame({1: (0, 0)})
@@ -398,6 +406,33 @@ def test_numbers_that_are_not_finite_are_refused_and_named():
     with pytest.raises(InputError, match="bad yaw") as caught:
         boxes(yaw=np.array([np.nan, 0.0, 0.0]))
     assert (caught.value.frame, caught.value.object_id, caught.value.rows) == (1, 5, (0,))
+
+
+def test_the_defaults_are_those_of_the_tables():
+    parameters = {
+        name: value.parameters
+        for name, value in evaluate(
+            *run_of([{}], [{}]), ["gospa", "ospa", "ospa2", "tgospa"]
+        ).items()
+    }
+    assert parameters["gospa"] == {"cutoff": 4.0, "order": 2.0, "alpha": 2.0, "distance": "xy"}
+    assert parameters["ospa"] == {"cutoff": 10.0, "order": 2.0, "distance": "xy"}
+    assert parameters["ospa2"] == parameters["ospa"] | {"window": 1.0}
+    assert parameters["tgospa"] == {
+        "cutoff": 4.0,
+        "order": 2.0,
+        "switch_cost": 2.0,
+        "distance": "xy",
+    }
+    assert evaluate(*run_of([{}], [{}]), ["mota"])["mota"].parameters["gate"] == 2.0
+    assert MetricParameters().occlusion_frames == 5
+
+
+@pytest.mark.parametrize("name", ["gospa_order", "occlusion_frames"])
+def test_orders_and_frames_are_at_least_one(name):
+    assert getattr(MetricParameters(**{name: 1}), name) == 1
+    with pytest.raises(InputError, match="at least 1"):
+        MetricParameters(**{name: 0.9})
 
 
 def test_impossible_parameters_are_refused():
