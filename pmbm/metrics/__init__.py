@@ -1,6 +1,13 @@
 """Metrics of multi-object tracking, each by its published rule.
 
-`evaluate` scores a run; the functions behind it are pure and may be used alone.
+`evaluate` scores a run and `combine` several as one; `catalogue` holds the names.  The functions
+behind them are pure and may be used alone, on a `scene.Scene` of truth and tracks:
+
+- distances of sets: gospa, ospa; of whole tracks: trajectory (OSPA(2)), tgospa;
+- matching frame by frame: clear; of identities: identity; of both: hota; siap;
+- what a testbed asks besides: testbed, consistency (NEES), calibration;
+- the benchmarks by their own rules, quirks included: argoverse1, waymo, kitti, nuscenes,
+  trackeval, and `benchmarks`, which gives their scores as evaluations.
 """
 
 from pmbm.metrics.catalogue import DEFAULT_METRICS

@@ -425,6 +425,7 @@ def test_the_defaults_are_those_of_the_tables():
         "distance": "xy",
     }
     assert evaluate(*run_of([{}], [{}]), ["mota"])["mota"].parameters["gate"] == 2.0
+    assert evaluate(*run_of([{}], [{}]), ["hota"])["hota"].parameters["similarity_zero"] == 4.0
     assert MetricParameters().occlusion_frames == 5
 
 
