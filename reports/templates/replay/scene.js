@@ -271,13 +271,20 @@ class Scene {
     c.restore();
   }
 
+  // Ids above their boxes; one that would cover another moves up.
   trackLabels(tracker, rows, paint) {
     if (this.camera.scale < 1.5) return;
+    const taken = [];
     for (const row of rows) {
       const corners = boxCorners(tracker, row).map(([x, y]) => this.camera.toScreen(x, y));
-      const top = Math.min(...corners.map((p) => p[1]));
+      const words = tracker.ids[tracker.object[row]];
       const [x] = this.camera.toScreen(tracker.x[row], tracker.y[row]);
-      this.text(tracker.ids[tracker.object[row]], x, top - 5, paint(row), 12, "center", 650);
+      const half = 4 * words.length;
+      let y = Math.min(...corners.map((p) => p[1])) - 5;
+      const covers = (other) => Math.abs(other.x - x) < other.half + half && Math.abs(other.y - y) < 12;
+      for (let tries = 0; tries < 3 && taken.some(covers); tries++) y -= 12;
+      taken.push({ x, y, half });
+      this.text(words, x, y, paint(row), 12, "center", 650);
     }
   }
 
