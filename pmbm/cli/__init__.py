@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 a gate failed or a study has failing trials, 2 bad input, 
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from typing import Any
 
@@ -21,6 +22,7 @@ _COMMANDS = {
     "gate": "Did the tracker get worse? Exit code 0: no, 1: yes, 3: undecided.",
     "track": "A tracker over a real dataset, output in that dataset's format.",
     "evaluate": "Any tracker's output, by the rules of the dataset it was made on.",
+    "fit-detector": "A detector profile from a dataset's labels and detections, and how well it fits.",
     "cache": "The simulated scenes kept on disk: show, list, clear.",
 }
 """Name -> one-line help; `pmbm/cli/NAME.py` (dashes as underscores) holds `command`."""
@@ -88,6 +90,9 @@ def main(arguments: list[str] | None = None) -> Any:
     """The console script: runs a command and turns what a user can get wrong into one line."""
     from pmbm.errors import InputError
 
+    # Trackers are named MODULE:FACTORY, and are looked up in the user's folder last.
+    if "" not in sys.path and os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
     try:
         code = group.main(args=arguments, prog_name="pmbm", standalone_mode=False)
     except InputError as error:
