@@ -106,6 +106,7 @@ def clear(chosen: Sequence[Entry]) -> int:
     return len(chosen)
 
 
+@functools.cache
 def bits_key() -> str:
     """Machines of equal keys compute equal bits: the platform, and what numpy's kernels use."""
     features = importlib.import_module("numpy._core._multiarray_umath").__cpu_features__

@@ -1,7 +1,7 @@
 """How much faster our traffic is than stock highway-env, and the cache than simulating anew.
 
-Each function gives rows of {"id", "what", "figure", "bound", "stretch"}; figures are ratios of CPU
-time, medians over seeds, rivals interleaved.
+Each bar's function gives its figure, a ratio of CPU time, the median over seeds with rivals
+interleaved, and the details.
 """
 
 from __future__ import annotations
@@ -18,51 +18,43 @@ from typing import Any
 from sim import schema, traffic
 from sim.streams import Streams
 
+SEEDS = range(5)
 RATE = 15
 """highway-env's own steps a second."""
 
 
-def rows(quick: bool = False) -> list[dict[str, Any]]:
-    """All of this module's rows; `quick` looks at fewer seeds and ticks."""
-    seeds = range(2 if quick else 5)
-    return [
-        road_row("g50", 50, 8.0, 12.0, seeds, ticks=20 if quick else 60),
-        road_row("g200", 200, 25.0, 45.0, seeds, ticks=4 if quick else 15),
-        cache_row(seeds),
-    ]
+def g50() -> tuple[float, dict[str, Any]]:
+    """Stock time over ours, 50 IDM cars."""
+    return _road(cars=50, ticks=60)
 
 
-def road_row(
-    identity: str, cars: int, bound: float, stretch: float, seeds: range, ticks: int
-) -> dict[str, Any]:
+def g200() -> tuple[float, dict[str, Any]]:
+    """Stock time over ours, 200 IDM cars."""
+    return _road(cars=200, ticks=15)
+
+
+def _road(cars: int, ticks: int) -> tuple[float, dict[str, Any]]:
     """Stock time over ours for the same steps of IDM traffic, states compared to the bit."""
     ratios = []
-    for seed in seeds:
+    for seed in SEEDS:
         with stock():
             slow_seconds, slow_state = _timed(cars, seed, ticks)
         fast_seconds, fast_state = _timed(cars, seed, ticks)
         if slow_state != fast_state:
             raise AssertionError(f"{cars} cars, seed {seed}: our road differs from stock")
         ratios.append(slow_seconds / fast_seconds)
-    return {
-        "id": identity,
-        "what": f"our road against stock highway-env, {cars} IDM cars, bit-identical",
-        "figure": statistics.median(ratios),
-        "bound": bound,
-        "stretch": stretch,
-        "seeds": ratios,
-    }
+    return statistics.median(ratios), {"seeds": ratios}
 
 
-def cache_row(seeds: range, configurations: int = 10) -> dict[str, Any]:
-    """Recordings of one scenario for ten detector configurations: each simulated anew, against
-    the cache, which begins empty."""
+def h() -> tuple[float, dict[str, Any]]:
+    """Recordings of one scenario for ten detector configurations: each simulated anew (on our fast
+    road), over each from the cache, which begins empty."""
     from sim import load_scenario
     from sim import scenario as scenarios
 
     source = load_scenario("highway_dense")
     ratios = []
-    for seed in seeds:
+    for seed in SEEDS:
         with tempfile.TemporaryDirectory() as folder, _environment("PMBM_CACHE", folder):
             levels = [
                 type(source)(
@@ -74,7 +66,7 @@ def cache_row(seeds: range, configurations: int = 10) -> dict[str, Any]:
                         },
                     }
                 )
-                for k in range(configurations)
+                for k in range(10)
             ]
 
             def anew(level: Any, seed: int = seed) -> None:
@@ -90,14 +82,7 @@ def cache_row(seeds: range, configurations: int = 10) -> dict[str, Any]:
                 totals[0] += _seconds(lambda level=level: anew(level))
                 totals[1] += _seconds(lambda level=level: kept(level))
             ratios.append(totals[0] / totals[1])
-    return {
-        "id": "h",
-        "what": f"{configurations} detector configurations over one scene, kept against anew",
-        "figure": statistics.median(ratios),
-        "bound": 5.0,
-        "stretch": None,
-        "seeds": ratios,
-    }
+    return statistics.median(ratios), {"seeds": ratios}
 
 
 @contextlib.contextmanager
