@@ -37,9 +37,14 @@ def study(*sources, trials=3):
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory):
+def night():
+    return study(HandMade(), HandMade(frames=16, fails_at=1))
+
+
+@pytest.fixture(scope="module")
+def stored(night, tmp_path_factory):
     store = tmp_path_factory.mktemp("study") / "night.sqlite"
-    run_study(study(HandMade(), HandMade(frames=16, fails_at=1)), store)
+    run_study(night, store)
     return store
 
 
@@ -98,8 +103,8 @@ def test_scenarios_that_are_gone_leave_the_figures(stored):
     assert report.cells[0].stresses == ""
 
 
-def test_a_report_may_be_read_while_the_study_runs(stored):
-    with open_store(stored, study(HandMade(), HandMade(frames=16, fails_at=1))) as driver:
+def test_a_report_may_be_read_while_the_study_runs(stored, night):
+    with open_store(stored, night) as driver:
         driver.start([5])
         assert stored_report(stored, resolve, worst=0).done == 5
         driver.land()
