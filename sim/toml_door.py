@@ -61,6 +61,34 @@ def validated(kind: type[_T], table: Any, *, file: object = None) -> _T:
     raise InputError(problem, file=file, field=key, got=error["input"])
 
 
+def toml_text(document: Mapping[str, Any], *path: str) -> str:
+    """A document as TOML: plain values first, then tables; curves and lists in one line."""
+    lines, tables = [], []
+    for key, value in document.items():
+        if isinstance(value, Mapping) and value.keys() != {"at", "value"}:
+            tables.append((key, value))
+        elif value is not None:
+            lines.append(f"{_toml_key(key)} = {_toml_value(value)}\n")
+    head = f"[{'.'.join(map(_toml_key, path))}]\n" if path and lines else ""
+    parts = [head + "".join(lines), *(toml_text(table, *path, key) for key, table in tables)]
+    return "\n".join(part for part in parts if part)
+
+
+def _toml_key(key: str) -> str:
+    plain = key and all(c.isascii() and (c.isalnum() or c in "-_") for c in key)
+    return key if plain else json.dumps(key)
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        inside = (f"{_toml_key(k)} = {_toml_value(v)}" for k, v in value.items())
+        return "{ " + ", ".join(inside) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml_value, value)) + "]"
+    # JSON's strings, numbers and booleans are TOML's.
+    return json.dumps(float(value) if isinstance(value, float) else value)
+
+
 def table_of(document: Mapping[str, Any], *path: str, file: object = None) -> dict[str, Any]:
     """The table at that path, empty where there is none.
 

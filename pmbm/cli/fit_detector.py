@@ -1,0 +1,212 @@
+"""`pmbm fit-detector`: a detector profile from a dataset's labels and detections."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmbm.cli.many import ManyValues
+
+if TYPE_CHECKING:
+    from pmbm.types import Recording
+    from reports.detector_page import Realism
+    from sim.detector import DetectorModel
+    from sim.likeness import Comparison, Figure
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+_SEED = 7
+
+
+@click.command(cls=ManyValues)
+@click.argument("dataset_name", metavar="DATASET")
+@click.option("--root", type=FOLDER, required=True, help="The dataset's folder.")
+@click.option(
+    "--detections",
+    required=True,
+    metavar="PATH",
+    help="Detections; {class} stands for the class's name where each class has its own.",
+)
+@click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
+@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
+@click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")
+@click.option(
+    "--held-back", multiple=True, metavar="NAME...", help="Sequences to judge the fit by, not used."
+)
+@click.option("--name", default="fitted", show_default=True, help="Of the profile.")
+@click.option(
+    "--min-iou",
+    type=click.FloatRange(0.0, 1.0, min_open=True),
+    default=0.25,
+    show_default=True,
+    help="3D overlap from which a box is an object's.",
+)
+@click.option(
+    "--trials",
+    type=click.IntRange(min=1),
+    default=4,
+    show_default=True,
+    help="Trials of the model that are held against the data.",
+)
+@click.option("--realism/--no-realism", default=True, help="Run the classifier two-sample test.")
+@click.option("--out", type=FOLDER, default=Path("reports"), show_default=True)
+def command(
+    dataset_name: str,
+    root: Path,
+    detections: str,
+    poses: Path | None,
+    classes: tuple[str, ...],
+    sequences: tuple[str, ...],
+    held_back: tuple[str, ...],
+    name: str,
+    min_iou: float,
+    trials: int,
+    realism: bool,
+    out: Path,
+) -> None:
+    """Fit the detector model to DATASET; write a profile and a page that lays it over the data.
+
+    \b
+    Example:
+      pmbm fit-detector kitti --root kitti --detections 'kitti/detections/pointrcnn_{class}' \\
+          --poses kitti/pose --sequences 0000 0002 0003 --held-back 0006 0008 --out fitted
+    """
+    from pmbm.datasets import load, open_dataset, with_origins
+    from reports.detector_page import DetectorReport, detector_page
+    from sim.evidence import gather
+    from sim.fit import fit_detector
+    from sim.likeness import bootstrap, compare, figures, modelled
+    from sim.toml_door import toml_text
+
+    dataset = open_dataset(
+        dataset_name, root=root, detections=detections, poses=poses, classes=classes or None
+    )
+    names = list(sequences) or [s for s in dataset.sequences() if s not in held_back]
+    real = [with_origins(r, min_iou=min_iou) for r in load(dataset, names)]
+    held = [with_origins(r, min_iou=min_iou) for r in load(dataset, held_back)]
+    model = fit_detector(real, name=name, provenance=f"{dataset_name}: {', '.join(names)}.")
+    out.mkdir(parents=True, exist_ok=True)
+    profile = out / f"{name}.toml"
+    profile.write_text(toml_text(model.plain()), encoding="utf-8")
+
+    fitted_real, fitted_model = [figures(r) for r in real], _modelled_figures(model, real, trials)
+    fitted = compare(fitted_real, fitted_model)
+    judged: list[Comparison] = []
+    if held:
+        held_model = _modelled_figures(model, held, trials)
+        held_real = [figures(r) for r in held]
+        judged = bootstrap(fitted_real, fitted_model, held_real, held_model)
+    _print("fitted sequences", fitted)
+    if judged:
+        _print("sequences held back, with the interval of a bootstrap of the fitted ones", judged)
+    outcome = _realism([*real, *held], model) if realism and len(real) + len(held) > 3 else None
+    page = out / f"{name}.html"
+    page.write_text(
+        detector_page(
+            DetectorReport(
+                name=name,
+                provenance=model.provenance,
+                command=_command(dataset_name, root, detections, poses, names, held_back, name),
+                real=gather(real),
+                model=gather(modelled(model, real, _SEED)),
+                fitted=fitted,
+                held_back=judged,
+                realism=outcome,
+            )
+        ),
+        encoding="utf-8",
+    )
+    click.echo(f"profile  {profile}\npage     {page}")
+
+
+def _modelled_figures(
+    model: DetectorModel, recordings: Sequence[Recording], trials: int
+) -> list[dict[str, Figure]]:
+    """Figures of the model on the truth of each recording, over all trials."""
+    from sim.likeness import figures, modelled, pooled
+
+    made = [
+        [figures(r, model) for r in modelled(model, recordings, _SEED, trial)]
+        for trial in range(trials)
+    ]
+    return [pooled(parts) for parts in zip(*made, strict=True)]
+
+
+def _realism(recordings: Sequence[Recording], model: DetectorModel) -> Realism:
+    import numpy as np
+
+    from reports.detector_page import Realism
+    from sim.likeness import modelled
+    from sim.realism import area, two_sample
+
+    made = modelled(model, recordings, _SEED)
+    rng = np.random.default_rng(_SEED)
+    halves = [np.array_split(rng.permutation(len(recordings)), 2) for _ in range(4)]
+    outcome = Realism(
+        same_truth=two_sample(recordings, made),
+        real=tuple(
+            area([recordings[i] for i in first], [recordings[i] for i in second])
+            for first, second in halves
+        ),
+        model=tuple(
+            area([recordings[i] for i in first], [made[i] for i in second])
+            for first, second in halves
+        ),
+    )
+    click.echo(
+        f"realism: area under the curve, real against other real {np.mean(outcome.real):.3f}, "
+        f"against modelled others {np.mean(outcome.model):.3f}, against the model of the same "
+        f"recordings {outcome.same_truth.auc:.3f}"
+    )
+    names = ", ".join(f"{name} {auc:.3f}" for name, auc in outcome.same_truth.betraying[:5])
+    click.echo(f"betraying features (area with each alone): {names}")
+    return outcome
+
+
+def _print(title: str, rows: Sequence[Comparison]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    table.add_column("figure")
+    for column in ("real", "model", "difference", "interval", "rests on"):
+        table.add_column(column, justify="right")
+    for row in rows:
+        unit = " pt" if row.name.startswith("recall") else " %"
+        interval = (
+            ""
+            if row.interval is None
+            else (
+                f"{100 * row.interval[0]:+.1f} to {100 * row.interval[1]:+.1f}"
+                + ("" if row.interval[0] <= row.difference <= row.interval[1] else "  out")
+            )
+        )
+        table.add_row(
+            row.name,
+            f"{row.real:.3f}",
+            f"{row.model:.3f}",
+            f"{100 * row.difference:+.1f}{unit}",
+            interval,
+            f"{row.weight:.0f}",
+        )
+    Console().print(table)
+
+
+def _command(
+    dataset: str,
+    root: Path,
+    detections: str,
+    poses: Path | None,
+    sequences: Sequence[str],
+    held_back: Sequence[str],
+    name: str,
+) -> str:
+    words: list[Any] = ["pmbm fit-detector", dataset, "--root", root, "--detections", detections]
+    if poses is not None:
+        words += ["--poses", poses]
+    words += ["--sequences", *sequences]
+    if held_back:
+        words += ["--held-back", *held_back]
+    return " ".join(map(str, [*words, "--name", name]))
