@@ -6,6 +6,7 @@ shares one scene.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 import json
@@ -95,7 +96,7 @@ class Scenario:
 
         Raises InputError for an unknown level.
         """
-        return Scenario(self.document, self.file, level)
+        return Scenario(self.document, self.file, self._level(level))
 
     def record(self, seed: int, trial: int = 0, level: Any = None) -> Recording:
         """The truth of one run and what the detector delivers of it.
@@ -131,6 +132,10 @@ class Scenario:
     def _level(self, level: Any) -> Any:
         if level is None:
             return self.default_level
+        if isinstance(level, str):
+            # As commands have it.
+            with contextlib.suppress(ValueError):
+                level = float(level)
         if level not in self.levels:
             raise InputError(
                 f"scenario '{self.form.name}' has no such level",
@@ -157,18 +162,20 @@ class Scenario:
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """The scenario of that name in the catalogue, or in that TOML file.
+    """The scenario of that name in the catalogue, or in that TOML file; with @LEVEL behind it,
+    held at a level of its sweep.
 
     Raises InputError with the nearest valid name, or with the file and key that is wrong.
     """
-    text = str(name_or_path)
+    text, _, level = str(name_or_path).partition("@")
     path = Path(text)
     if not (text.endswith(".toml") or "/" in text or "\\" in text):
         names = scenario_names()
         if text not in names:
             raise InputError(f"no scenario '{text}'", hint=nearest_hint(text, names, "scenario"))
         path = catalogue_folder() / f"{text}.toml"
-    return Scenario(_extended(read_toml(path), str(path)), str(path))
+    scenario = Scenario(_extended(read_toml(path), str(path)), str(path))
+    return scenario.at(level) if level else scenario
 
 
 _OWN_KEYS = ("name", "stresses", "extends", "sweep", "check")
