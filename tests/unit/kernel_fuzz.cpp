@@ -1,6 +1,8 @@
-// Random problems through the compiled kernel, each answer checked; built by
+// Random problems through the compiled kernels, each answer checked; built by
 // test_kernel_sanitized.py with the address and undefined-behaviour sanitizers.
-#include "k_best.hpp"
+#include "assignment/k_best.hpp"
+#include "filter/gate.hpp"
+#include "filter/tables.hpp"
 
 #include <cmath>
 #include <cstdio>
@@ -84,6 +86,192 @@ void check(const Problem& p, std::int64_t k, std::int64_t n,
     }
 }
 
+void require(bool good, const char* what) {
+    if (good) return;
+    std::printf("%s\n", what);
+    std::exit(1);
+}
+
+pmbm::TableView view(const pmbm::Table& t) {
+    return {t.cluster.data(), t.start.data(), t.member.data(), t.log_weight.data(),
+            static_cast<std::int64_t>(t.cluster.size())};
+}
+
+// Clusters of a few tracks, each with a few local hypotheses; rows take at most one of each track.
+struct Scene {
+    pmbm::Table table;
+    pmbm::Ints track, cluster_of_local;
+
+    Scene() {
+        const int clusters = whole(0, 5);
+        std::int64_t tracks = 0;
+        for (int c = 0; c < clusters; ++c) {
+            std::vector<pmbm::Ints> locals(static_cast<std::size_t>(whole(0, 5)));
+            for (auto& own : locals) {
+                for (int i = whole(1, 3); i > 0; --i) {
+                    own.push_back(static_cast<std::int64_t>(track.size()));
+                    track.push_back(tracks);
+                    cluster_of_local.push_back(c);
+                }
+                ++tracks;
+            }
+            for (int row = whole(1, 9); row > 0; --row) {
+                for (const auto& own : locals) {
+                    const int pick = whole(-1, static_cast<int>(own.size()) - 1);
+                    if (pick >= 0) table.member.push_back(own[static_cast<std::size_t>(pick)]);
+                }
+                table.close_row(c, std::log(chance() + 1e-3));
+            }
+        }
+        normalise_all();
+    }
+
+    void normalise_all() {
+        view(table).each_cluster([&](std::int64_t, std::int64_t first, std::int64_t last) {
+            pmbm::normalise(table.log_weight.data(), first, last);
+        });
+    }
+
+    std::int64_t locals() const { return static_cast<std::int64_t>(track.size()); }
+};
+
+// Every cluster's weights add up to one, clusters are numbered through, and, where it is given, each
+// local hypothesis has the probability it had.
+void check_table(const pmbm::Table& t, std::int64_t locals, const pmbm::Floats* before) {
+    std::int64_t next = 0;
+    view(t).each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
+        require(cluster == next++, "clusters are not numbered through");
+        double total = 0;
+        for (auto g = first; g < last; ++g) total += std::exp(t.log_weight[g]);
+        require(std::abs(total - 1) < 1e-9, "weights do not add up to one");
+    });
+    require(t.start.back() == static_cast<std::int64_t>(t.member.size()), "members left over");
+    const auto after = pmbm::probability(view(t), locals);
+    for (std::size_t i = 0; before && i < after.size(); ++i) {
+        require(std::abs(after[i] - (*before)[i]) < 1e-9, "a local hypothesis lost probability");
+    }
+}
+
+void fuzz_tables() {
+    Scene scene;
+    const auto locals = scene.locals();
+    const auto clusters = view(scene.table).clusters();
+    pmbm::Ints cluster_of, row, measurement;
+    pmbm::Floats weight, missed, fresh, allowed;
+    for (int m = clusters ? whole(0, 8) : 0; m > 0; --m) {
+        cluster_of.push_back(whole(0, static_cast<int>(clusters) - 1));
+        fresh.push_back(-5 * chance());
+    }
+    for (std::int64_t i = 0; i < locals; ++i) {
+        missed.push_back(-3 * chance());
+        for (std::size_t m = 0; m < cluster_of.size(); ++m) {
+            if (cluster_of[m] != scene.cluster_of_local[i] || chance() < 0.5) continue;
+            row.push_back(i);
+            measurement.push_back(static_cast<std::int64_t>(m));
+            weight.push_back(-8 * chance());
+        }
+    }
+    allowed.assign(scene.table.cluster.size(), whole(1, 60));
+    const pmbm::PairsView known{row.data(), measurement.data(), weight.data(),
+                                static_cast<std::int64_t>(row.size())};
+    const auto scans = static_cast<std::int64_t>(cluster_of.size());
+    const auto children =
+        pmbm::best_children(view(scene.table), known, missed.data(), locals, fresh.data(),
+                            cluster_of.data(), scans, allowed.data(), chance() < 0.5 ? 4 : kInf);
+    const auto made = pmbm::extended(
+        view(scene.table),
+        {children.parent.data(), children.taker.data(), children.entry.data(),
+         children.pair.data(), children.log_weight.data(), children.parent.size(),
+         children.taker.size()},
+        known, cluster_of.data(), scans, locals);
+    const auto candidates = locals + known.count + scans;
+    check_table(made, candidates, nullptr);
+    for (std::size_t g = 0; g + 1 < made.start.size(); ++g) {
+        std::multiset<std::int64_t> used;
+        for (auto e = made.start[g]; e < made.start[g + 1]; ++e) {
+            const auto member = made.member[e];
+            if (member >= locals + known.count) used.insert(member - locals - known.count);
+            else if (member >= locals) used.insert(measurement[member - locals]);
+        }
+        std::set<std::int64_t> all;
+        for (std::size_t m = 0; m < cluster_of.size(); ++m) {
+            if (cluster_of[m] == made.cluster[g]) all.insert(static_cast<std::int64_t>(m));
+        }
+        require(used.size() == all.size() && std::equal(used.begin(), used.end(), all.begin()),
+                "a row does not explain each measurement once");
+    }
+
+    std::int64_t likely = 0;
+    const pmbm::Ints cap(static_cast<std::size_t>(clusters), whole(1, 6));
+    const auto kept = pmbm::pruned(view(made), std::log(0.01), cap.data(), likely);
+    check_table(kept, candidates, nullptr);
+    require(likely >= static_cast<std::int64_t>(kept.cluster.size()), "more kept than likely");
+
+    const auto before = pmbm::probability(view(scene.table), locals);
+    const auto merged = pmbm::merged(view(scene.table));
+    check_table(merged, locals, &before);
+    check_table(pmbm::split(view(merged), locals), locals, &before);
+    check_table(pmbm::factored(view(merged), scene.track.data(), chance() * 0.5, 6), locals,
+                &before);
+    const auto tracks = scene.track.empty() ? 0 : scene.track.back() + 1;
+    const auto compact = pmbm::compacted(
+        merged.member.data(), merged.member.size(), scene.track.data(), scene.track.size(),
+        static_cast<std::size_t>(tracks));
+    for (std::size_t e = 0; e < merged.member.size(); ++e) {
+        require(compact.rows[compact.member[e]] == merged.member[e], "a member was renamed wrongly");
+        require(compact.tracks[compact.track[compact.member[e]]] == scene.track[merged.member[e]],
+                "a track was renamed wrongly");
+    }
+}
+
+void fuzz_gate() {
+    const auto n = static_cast<std::size_t>(whole(0, 30)), m = static_cast<std::size_t>(whole(0, 60));
+    const double spread = std::pow(10.0, whole(-1, 4)), threshold = 0.5 + 20 * chance();
+    std::normal_distribution<double> normal;
+    pmbm::Floats expected, l11, l21, l22, height, mean, cov, z;
+    for (std::size_t i = 0; i < n; ++i) {
+        const double size = chance() < 0.2 ? spread : 1;
+        double P[16] = {};
+        for (int a = 0; a < 4; ++a) P[5 * a] = size * size * (0.1 + chance());
+        P[1] = P[4] = 0.3 * std::sqrt(P[0] * P[5]);
+        for (int a = 0; a < 4; ++a) mean.push_back(spread * normal(random_source));
+        cov.insert(cov.end(), P, P + 16);
+        expected.insert(expected.end(), mean.end() - 4, mean.end() - 2);
+        l11.push_back(std::sqrt(P[0] + 0.09));
+        l21.push_back(P[4] / l11.back());
+        l22.push_back(std::sqrt(P[5] + 0.09 - l21.back() * l21.back()));
+        height.push_back(chance() < 0.1 ? -kInf : -10 * chance());
+    }
+    const bool on_a_line = chance() < 0.2;
+    for (std::size_t j = 0; j < m; ++j) {
+        z.push_back(spread * normal(random_source));
+        z.push_back(on_a_line ? 1.0 : spread * normal(random_source));
+    }
+    const pmbm::Innovations g{expected.data(), l11.data(), l21.data(), l22.data(), n};
+    pmbm::Ints rows, columns;
+    pmbm::Floats whitened;
+    pmbm::gate(g, z.data(), m, threshold, rows, columns, whitened);
+    std::size_t at = 0;
+    for (std::size_t i = 0; i < n; ++i) {
+        for (std::size_t j = 0; j < m; ++j) {
+            const double y0 = (z[2 * j] - expected[2 * i]) / l11[i];
+            const double y1 = (z[2 * j + 1] - expected[2 * i + 1] - l21[i] * y0) / l22[i];
+            if (y0 * y0 + y1 * y1 >= threshold) continue;
+            require(at < rows.size() && rows[at] == static_cast<std::int64_t>(i) &&
+                        columns[at] == static_cast<std::int64_t>(j),
+                    "a pair in the gate is missing or out of order");
+            ++at;
+        }
+    }
+    require(at == rows.size(), "a pair out of the gate");
+    pmbm::Floats fused(4 * m, 7.0), spread_of(16 * m, 7.0);
+    const double R[4] = {0.09, 0, 0, 0.09};
+    pmbm::fuse(g, height.data(), mean.data(), cov.data(), R, z.data(), m, threshold, fused.data(),
+               spread_of.data());
+    for (const auto value : fused) require(std::isfinite(value), "a mean is not finite");
+    for (const auto value : spread_of) require(std::isfinite(value), "a covariance is not finite");
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -97,6 +285,8 @@ int main(int argc, char** argv) {
         std::vector<double> costs;
         const auto n = solver.solve(p.cost.data(), p.rows, p.width, k, columns, costs);
         check(p, k, n, columns, costs);
+        fuzz_tables();
+        fuzz_gate();
         if (!small) continue;
         std::vector<double> totals;
         std::vector<bool> used(static_cast<std::size_t>(p.width));
