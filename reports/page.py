@@ -18,7 +18,16 @@ from markupsafe import Markup
 
 from reports.palette import DARK, LIGHT
 
-REPLAY_SCRIPTS = ("decode", "geometry", "scene", "plots", "player", "main")
+REPLAY_SCRIPTS = (
+    "decode",
+    "geometry",
+    "tracks",
+    "scene",
+    "plots",
+    "pointer",
+    "player",
+    "main",
+)
 
 
 def render_page(template: str, **values: Any) -> str:
