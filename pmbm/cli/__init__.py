@@ -21,8 +21,10 @@ _COMMANDS = {
     "report": "A study as one HTML file: verdicts, curves, worst trials to replay.",
     "gate": "Did the tracker get worse? Exit code 0: no, 1: yes, 3: undecided.",
     "track": "A tracker over a real dataset, output in that dataset's format.",
+    "metrics": "Which metric answers which question.",
     "evaluate": "Any tracker's output, by the rules of the dataset it was made on.",
     "fit-detector": "A detector profile from a dataset's labels and detections, and how well it fits.",
+    "falsify": "Search a scenario for what breaks a tracker; keep the smallest that does.",
     "cache": "The simulated scenes kept on disk: show, list, clear.",
 }
 """Name -> one-line help; `pmbm/cli/NAME.py` (dashes as underscores) holds `command`."""

@@ -1,0 +1,171 @@
+"""`pmbm falsify`: search a scenario for what breaks a tracker, and keep the smallest that does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from sim.falsify import Badness, Finding, Knob
+
+
+@click.command()
+@click.argument("scenario_name", metavar="SCENARIO|FILE.toml")
+@click.option(
+    "--tracker",
+    "tracker_name",
+    default="pmbm",
+    show_default=True,
+    metavar="NAME|MODULE:FACTORY",
+)
+@click.option("--metric", default="gospa", show_default=True, help="What to make worse.")
+@click.option(
+    "--limit",
+    type=float,
+    help="Beyond this the scenario fails.  [default: half-way to the worst found]",
+)
+@click.option(
+    "--vary",
+    "varied",
+    type=(str, float, float),
+    multiple=True,
+    metavar="KEY LEAST MOST",
+    help="A dotted key to vary.  [default: the swept ones and the detector's faults]",
+)
+@click.option("--budget", type=click.IntRange(min=2), default=60, show_default=True)
+@click.option(
+    "--trials", type=click.IntRange(min=1), default=1, show_default=True, help="Of each scenario."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The file to write.  [default: NAME_falsified.toml]",
+)
+def command(
+    scenario_name: str,
+    tracker_name: str,
+    metric: str,
+    limit: float | None,
+    varied: tuple[tuple[str, float, float], ...],
+    budget: int,
+    trials: int,
+    seed: int,
+    out: Path | None,
+) -> None:
+    """Search the parameters of SCENARIO for the tracker's worst case; write the smallest failing
+    scenario as a file that can be kept as a regression test.
+
+    Exit code 1 where a failing scenario was found, 0 where none was.
+
+    \b
+    Examples:
+      pmbm falsify crossing --metric id_switches --limit 2
+      pmbm falsify single_straight --vary detector.clutter.rate 0 30 --out worst.toml
+    """
+    import sys
+
+    from pmbm.metrics.catalogue import definition
+    from sim import load_scenario
+    from sim.falsify import FAULTS, Knob, search, swept_knobs
+    from sim.toml_door import toml_text
+
+    scenario = load_scenario(scenario_name)
+    sign = -1.0 if definition(metric).direction == "higher" else 1.0
+    base = scenario.base()
+    swept = swept_knobs(scenario)
+    known = {knob.key for knob in swept}
+    knobs: list[Knob] = [
+        Knob(key, least, most, _at_rest(base.document, key, least)) for key, least, most in varied
+    ] or [*swept, *(fault for fault in FAULTS if fault.key not in known)]
+    _check(base.document, knobs)
+    finding = search(
+        base.document,
+        _badness(tracker_name, metric, sign, trials, seed),
+        knobs,
+        budget=budget,
+        limit=None if limit is None else sign * limit,
+        seed=seed,
+    )
+    if finding is None:
+        click.echo(f"nothing found: {metric} of {tracker_name} stayed within the limit")
+        return
+    name = f"{base.name}_falsified"
+    path = out or Path(f"{name}.toml")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    document = {**finding.document, "name": name}
+    path.write_text(
+        _header(scenario_name, tracker_name, metric, sign, finding, trials, seed, path)
+        + toml_text(document),
+        encoding="utf-8",
+    )
+    changed = ", ".join(f"{key} = {value:g}" for key, value in finding.changed.items()) or "nothing"
+    click.echo(
+        f"{metric} {sign * finding.rest:.4g} -> {sign * finding.value:.4g} "
+        f"after {finding.evaluations} scenarios; changed: {changed}\n{path}"
+    )
+    sys.exit(1)
+
+
+def _badness(tracker: str, metric: str, sign: float, trials: int, seed: int) -> Badness:
+    """The metric, larger is worse, of a scenario's document."""
+    import numpy as np
+
+    from pmbm.metrics import evaluate
+    from pmbm.tracking import make_tracker, run, tracker_factory
+    from sim.scenario import Scenario
+
+    factory = tracker_factory(tracker)
+
+    def badness(document: Mapping[str, Any]) -> float:
+        scenario = Scenario(document)
+        values = []
+        for trial in range(trials):
+            recording = scenario.record(seed, trial)
+            tracks = run(make_tracker(factory, recording.site), recording)
+            value = evaluate(recording, tracks, [metric]).scalars()[metric]
+            if value is not None:
+                values.append(sign * value)
+        return float(np.mean(values)) if values else -np.inf
+
+    return badness
+
+
+def _at_rest(document: Mapping[str, Any], key: str, least: float) -> float:
+    """What the document says at a dotted key; the least value where it says nothing."""
+    table: Any = document
+    for part in key.split("."):
+        if not isinstance(table, Mapping) or part not in table:
+            return least
+        table = table[part]
+    return float(table) if isinstance(table, int | float) else least
+
+
+def _check(document: Mapping[str, Any], knobs: list[Knob]) -> None:
+    """Refuse keys that the scenario does not take, before anything is searched."""
+    from sim.falsify import with_values
+    from sim.scenario import Scenario
+
+    for knob in knobs:
+        Scenario(with_values(document, {knob.key: knob.at(0.5)}))
+
+
+def _header(
+    scenario: str,
+    tracker: str,
+    metric: str,
+    sign: float,
+    finding: Finding,
+    trials: int,
+    seed: int,
+    path: Path,
+) -> str:
+    return (
+        f"# Stresses what {tracker} does worst in {scenario}: {metric} "
+        f"{sign * finding.value:.4g}, where {scenario} as it is has {sign * finding.rest:.4g}.\n"
+        f"# Found by a search, made smaller while it failed.  See it again with\n"
+        f"#   pmbm run {path} --tracker {tracker} --seed {seed} --trials {trials}\n\n"
+    )
