@@ -43,17 +43,17 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="gospa_localisation", group="gospa", unit="m^p", direction="lower",
-        series="localisation", answers="How much of it is misplacement?",
+        series="localisation", answers="How much of GOSPA^p is misplacement?",
         formula=ratio("localisation", "frames", NO_FRAMES),
     ),
     Definition(
         name="gospa_missed", group="gospa", unit="m^p", direction="lower", series="missed",
-        answers="How much of it is missed objects?",
+        answers="How much of GOSPA^p is missed objects?",
         formula=ratio("missed", "frames", NO_FRAMES),
     ),
     Definition(
         name="gospa_false", group="gospa", unit="m^p", direction="lower", series="false",
-        answers="How much of it is false tracks?",
+        answers="How much of GOSPA^p is false tracks?",
         formula=ratio("false", "frames", NO_FRAMES),
     ),
     Definition(
@@ -64,12 +64,12 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="ospa_localisation", group="ospa", unit="m", direction="lower",
-        series="localisation", answers="How much of it is misplacement?",
+        series="localisation", answers="How much of OSPA is misplacement?",
         formula=ratio("localisation", "frames", NO_FRAMES),
     ),
     Definition(
         name="ospa_cardinality", group="ospa", unit="m", direction="lower", series="cardinality",
-        answers="How much of it is a wrong number of objects?",
+        answers="How much of OSPA is a wrong number of objects?",
         formula=ratio("cardinality", "frames", NO_FRAMES),
     ),
     Definition(
@@ -301,6 +301,11 @@ def definition(name: str) -> Definition:
     if entry is None:
         raise InputError(f"no metric '{name}'", hint=nearest_hint(name, names(), "metric"))
     return entry
+
+
+def every() -> Iterable[Definition]:
+    """All metrics that `evaluate` knows, in the order of its tables."""
+    return _DEFINITIONS
 
 
 def names() -> Iterable[str]:
