@@ -22,7 +22,6 @@ _COMMANDS = {
     "gate": "Did the tracker get worse? Exit code 0: no, 1: yes, 3: undecided.",
     "track": "A tracker over a real dataset, output in that dataset's format.",
     "metrics": "Which metric answers which question.",
-    "metrics": "Which metric answers which question.",
     "evaluate": "Any tracker's output, by the rules of the dataset it was made on.",
     "fit-detector": "A detector profile from a dataset's labels and detections, and how well it fits.",
     "falsify": "Search a scenario for what breaks a tracker; keep the smallest that does.",
