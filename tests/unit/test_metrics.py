@@ -146,6 +146,18 @@ def test_two_objects_that_remember_one_track_the_lower_id_keeps_it():
     assert scores["misses"] == 0
 
 
+def test_tgospa_adds_up_over_frames_and_charges_for_a_change_of_track():
+    # Four frames 1 m off, and one change of track: 4 + 2^2 under the root.
+    tracks = [{7: (1, 0)}] * 2 + [{8: (1, 0)}] * 2
+    recording, reports = run_of([{CAR: (0, 0)}] * 4, tracks)
+    value = evaluate(recording, reports, ["tgospa"])["tgospa"]
+    assert value.value == pytest.approx(np.sqrt(8))
+    assert value.components["localisation"] == pytest.approx(4)
+    assert value.components["switch"] == pytest.approx(4)
+    twice = combine([evaluate(recording, reports, ["tgospa"])] * 2)["tgospa"]
+    assert twice.value == pytest.approx(np.sqrt(16))
+
+
 def test_negative_mota_is_shown():
     assert values([{CAR: (0, 0)}] * 2, [{7: (50, 0), 8: (60, 0)}] * 2)["mota"] == -2.0
 
