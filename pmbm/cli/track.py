@@ -14,7 +14,7 @@ from pmbm.cli.many import ManyValues
 if TYPE_CHECKING:
     from pmbm.datasets import Dataset
     from pmbm.study.configured import ConfiguredTracker
-    from pmbm.types import Label
+    from pmbm.types import Label, Recording, TrackSequence
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -43,7 +43,8 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
     "--config",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.toml",
-    help="The tracker's parameters; a table [CLASS] holds those of one class alone.",
+    help="The tracker's parameters; a table [CLASS] holds those of one class alone.  "
+    "[default: what ships for this tracker on this dataset, if anything]",
 )
 @click.option(
     "--mode",
@@ -76,29 +77,81 @@ def command(
     """
     from pmbm.datasets import open_dataset
     from pmbm.datasets.files import prepare_folder
-    from pmbm.errors import InputError
 
-    if mode == "batch":
-        raise InputError("this tracker cannot look back", field="--mode", got=mode)
     dataset = open_dataset(
         dataset_name, root=root, detections=detections, poses=poses, classes=classes or None
     )
-    trackers = class_trackers(dataset, tracker_name, config)
+    trackers = class_trackers(dataset, tracker_name, config or preset(dataset_name, tracker_name))
     names = list(dict.fromkeys(sequences)) or dataset.sequences()
     prepare_folder(out)
-    tasks = [(dataset, name, trackers, out) for name in names]
+    tasks = [(dataset, name, trackers, out, mode) for name in names]
     for path in spread(track_sequence, tasks, jobs, "sequences"):
         click.echo(path)
 
 
 def track_sequence(
-    dataset: Dataset, name: str, trackers: Mapping[Label, ConfiguredTracker], out: Path
+    dataset: Dataset,
+    name: str,
+    trackers: Mapping[Label, ConfiguredTracker],
+    out: Path,
+    mode: str = "online",
 ) -> Path:
     """Track one sequence, write it, and say where."""
     from pmbm.tracking import ByLabel, run
 
     recording = dataset.recording(name, truth=False)
-    return dataset.write(name, run(ByLabel(trackers, recording.site), recording), out)
+    if mode == "batch":
+        tracks = looked_back(recording, trackers)
+    else:
+        tracks = run(ByLabel(trackers, recording.site), recording)
+    return dataset.write(name, tracks, out)
+
+
+def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker]) -> TrackSequence:
+    """Every label's tracks, smoothed over the whole recording.
+
+    Tracks are followed from a tenth of the existence at which they are reported on, so that one
+    that is reported later may begin where it first appeared.  Raises InputError for a tracker that
+    is not the PMBM tracker.
+    """
+    import dataclasses
+
+    from pmbm.errors import InputError
+    from pmbm.filter import PMBMTracker, smooth
+    from pmbm.tracking import ByLabel, joined_tracks, run
+
+    parts = []
+    for label, configured in trackers.items():
+        tracker = configured(recording.site)
+        if not isinstance(tracker, PMBMTracker):
+            raise InputError(
+                f"tracker '{configured.factory}' cannot look back", field="--mode", got="batch",
+                hint="use --tracker pmbm or --mode online",
+            )  # fmt: skip
+        config = tracker.config
+        early = dataclasses.replace(config, report_above=config.report_above / 10)
+        factory = {label: lambda site, early=early: PMBMTracker(early, site)}
+        found = run(ByLabel(factory, recording.site), recording)
+        parts.append(smooth(found.steps, early, config.report_above))
+    ids: dict[tuple[int, int], int] = {}
+    steps = []
+    for reports in zip(*parts, strict=True):
+        names = [(part, i) for part, tracks in enumerate(reports) for i in tracks.id.tolist()]
+        given = [ids.setdefault(name, len(ids)) for name in names]
+        steps.append(joined_tracks(reports[0].time, reports, given))
+    return dataclasses.replace(found, steps=tuple(steps), seconds=None)
+
+
+def preset(dataset: str, tracker: str) -> Path | None:
+    """The file of parameters that ships for a tracker on a dataset; how each was found is said in
+    it."""
+    import re
+    from importlib.resources import files
+
+    if not re.fullmatch(r"[a-z0-9_]+", tracker):
+        return None
+    path = Path(str(files("pmbm.datasets") / "presets" / f"{dataset}_{tracker}.toml"))
+    return path if path.is_file() else None
 
 
 def class_trackers(
@@ -110,7 +163,7 @@ def class_trackers(
     from pmbm.types import Label
 
     values = {} if config is None else read_toml(config)
-    own = {name: values.pop(name, {}) for name in dataset.classes}
+    own = {name: values.pop(name, {}) for name in dataset.known_classes}
     trackers = {}
     for name, label in zip(dataset.classes, dataset.labels, strict=True):
         parameters = {**values, **_table(own[name], name, config)}

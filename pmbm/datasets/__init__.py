@@ -33,6 +33,10 @@ class Dataset(Protocol):
         """The classes asked for, by the dataset's names."""
 
     @property
+    def known_classes(self) -> tuple[str, ...]:
+        """All classes that may be asked for."""
+
+    @property
     def labels(self) -> tuple[int, ...]:
         """The labels of the classes asked for, in their order."""
 

@@ -84,6 +84,11 @@ class Argoverse1:
         object.__setattr__(self, "classes", checked_classes(self.classes, _LABELS, "Argoverse 1"))
 
     @property
+    def known_classes(self) -> tuple[str, ...]:
+        """All classes that may be asked for."""
+        return tuple(_LABELS)
+
+    @property
     def labels(self) -> tuple[int, ...]:
         """The labels of the classes asked for, in their order."""
         return tuple(_LABELS[name] for name in self.classes)

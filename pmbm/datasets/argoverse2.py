@@ -97,6 +97,11 @@ class Argoverse2:
         object.__setattr__(self, "classes", classes)
 
     @property
+    def known_classes(self) -> tuple[str, ...]:
+        """All classes that may be asked for."""
+        return tuple(_LABELS)
+
+    @property
     def labels(self) -> tuple[int, ...]:
         """The labels of the classes asked for, in their order."""
         return tuple(_LABELS[name] for name in self.classes)

@@ -123,6 +123,11 @@ class Kitti:
             raise InputError("KITTI: a class is named twice", field="classes", got=self.classes)
 
     @property
+    def known_classes(self) -> tuple[str, ...]:
+        """All classes that may be asked for."""
+        return CLASSES
+
+    @property
     def labels(self) -> tuple[int, ...]:
         """The labels of the classes asked for, in their order."""
         return tuple(_LABELS[name] for name in self.classes)

@@ -65,6 +65,11 @@ class NuScenes:
         object.__setattr__(self, "classes", checked_classes(self.classes, LABELS, "nuScenes"))
 
     @property
+    def known_classes(self) -> tuple[str, ...]:
+        """All classes that may be asked for."""
+        return CLASSES
+
+    @property
     def labels(self) -> tuple[int, ...]:
         """The labels of the classes asked for, in their order."""
         return tuple(LABELS[name] for name in self.classes)

@@ -70,6 +70,11 @@ class Waymo:
         object.__setattr__(self, "classes", checked_classes(self.classes, _LABELS, "Waymo"))
 
     @property
+    def known_classes(self) -> tuple[str, ...]:
+        """All classes that may be asked for."""
+        return tuple(_LABELS)
+
+    @property
     def labels(self) -> tuple[int, ...]:
         """The labels of the classes asked for, in their order."""
         return tuple(_LABELS[name] for name in self.classes)

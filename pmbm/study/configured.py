@@ -43,7 +43,7 @@ class ConfiguredTracker:
         if config is not None:
             valid = [field.name for field in dataclasses.fields(config)]
             self._check(parameters, valid)
-            keywords = {"config": config(**parameters)}
+            keywords = {"config": _built(config, parameters, "")}
         else:
             anything = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
             self._check(parameters, list(parameters) if anything else accepted)
@@ -62,10 +62,41 @@ class ConfiguredTracker:
                 )
 
 
+def _built(kind: Any, values: Mapping[str, Any], path: str) -> Any:
+    """A dataclass from its fields; fields that are dataclasses themselves may be given as tables of
+    theirs, as a file has them."""
+    hints = typing.get_type_hints(kind)
+    given = {}
+    for name, value in values.items():
+        if name not in hints:
+            raise InputError(
+                "unknown parameter",
+                field=path + name,
+                hint=nearest_hint(name, [field.name for field in dataclasses.fields(kind)]),
+            )
+        inner = _dataclass_in(hints[name])
+        nested = inner is not None and isinstance(value, Mapping)
+        given[name] = _built(inner, value, f"{path}{name}.") if nested else value
+    missing = [
+        field.name
+        for field in dataclasses.fields(kind)
+        if field.name not in given
+        and field.default is dataclasses.MISSING
+        and field.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise InputError("missing parameter", field=path + missing[0])
+    return kind(**given)
+
+
 def _config_type(factory: TrackerFactory) -> Any:
     """The dataclass that the parameter `config` is annotated with, if it is one."""
     target: Any = factory.__init__ if inspect.isclass(factory) else factory
-    annotation = typing.get_type_hints(target).get("config")
+    return _dataclass_in(typing.get_type_hints(target).get("config"))
+
+
+def _dataclass_in(annotation: Any) -> Any:
+    """The dataclass that an annotation is, or has among its alternatives."""
     for kind in (annotation, *typing.get_args(annotation)):
         if dataclasses.is_dataclass(kind):
             return kind

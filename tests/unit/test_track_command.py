@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from pmbm.cli import main
+from pmbm.cli.track import class_trackers, preset
+from pmbm.datasets import open_dataset
+from pmbm.types import Site
 
 SAMPLE = Path(__file__).parents[1] / "data" / "kitti"
 
@@ -125,3 +128,57 @@ def test_unknown_dataset(capsys):
 def test_help_has_an_example(capsys):
     assert pmbm("track", "--help") == 0
     assert "pmbm track kitti --root" in capsys.readouterr().out
+
+
+def test_batch_fills_what_online_had_not_reported_yet(folder):
+    """Seen in all frames but the fifth; online the first frames are not reported, looking back
+    they and the gap are."""
+    for name in ("0000", "0001"):
+        for kind in ("Car", "Cyclist"):
+            path = folder / f"dets_{kind}" / f"{name}.txt"
+            lines = path.read_text().splitlines()
+            path.write_text("\n".join(lines[:5] + lines[6:]))
+    config = folder / "config.toml"
+    config.write_text("clutter_rate = 40\nbirth_rate = 0.2\ninitial_objects = 0.2\n")
+    frames = {}
+    for mode in ("online", "batch"):
+        files = track(folder, "--config", config, "--mode", mode, out=mode)
+        rows = [line.split() for line in files["0000.txt"].splitlines()]
+        frames[mode] = [int(row[0]) for row in rows if row[2] == "Car"]
+    assert frames["batch"] == list(range(8))
+    assert set(frames["online"]) < set(frames["batch"])
+
+
+def test_only_trackers_that_can_look_back_do(folder, capsys):
+    message = fails(folder, capsys, "--tracker", "argoverse", "--mode", "batch")
+    assert "'argoverse' cannot look back" in message
+
+
+def test_parameters_of_parameters(folder, capsys):
+    config = folder / "config.toml"
+    config.write_text("[Car.visibility]\nunseen = 0.2\nstay_sen = 0.9\n")
+    found = fails(folder, capsys, "--config", config)
+    assert "visibility.stay_sen" in found
+    assert "did you mean 'stay_seen'" in found
+    config.write_text("[Car.visibility]\nunseen = 0.2\n")
+    assert "missing parameter" in fails(folder, capsys, "--config", config)
+
+
+PRESETS = sorted((Path(__file__).parents[2] / "pmbm" / "datasets" / "presets").glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", PRESETS, ids=lambda path: path.stem)
+def test_presets_are_for_trackers_that_take_them(path):
+    dataset_name, _, tracker = path.stem.partition("_")
+    dataset = open_dataset(dataset_name, root=".")
+    trackers = class_trackers(dataset, tracker, preset(dataset_name, tracker))
+    assert set(trackers) == set(dataset.labels)
+    for label, configured in trackers.items():
+        config = configured(Site()).config
+        assert config != type(config)(), label
+
+
+def test_there_are_presets():
+    assert PRESETS
+    assert preset("kitti", "no_such_tracker") is None
+    assert preset("kitti", "../kitti_pmbm") is None
