@@ -8,11 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from pmbm.errors import InputError
 from pmbm.study.store import read_store
 from pmbm.study.study import cell_label
 from pmbm.study.summary import Summary, summarise
 from pmbm.study.trial import StepTime, TrialResult
+from pmbm.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,7 +31,8 @@ class StudyResults:
     damaged : indices of rows whose hash does not fit; they are in no table.
     cells : one row a cell: scenario, label, and a column for each swept parameter.
     scores : one row a trial, tracker and metric: index, cell, scenario, trial, tracker, metric,
-        value (NaN where undefined), and a column for each swept parameter.
+        value (NaN where undefined), and a column for each swept parameter; scenario, tracker and
+        metric are categorical.
     outcomes : one row a trial: index, cell, scenario, trial, outcome, error, note, recording,
         seconds (wall clock of the trial).
     times : one row a trial and tracker: index, cell, tracker, and CPU seconds per step: mean,
@@ -82,44 +86,33 @@ def load_results(file: Path | str) -> StudyResults:
     seed = contents.document["seed"]
     points = [dict(cell["point"]) for cell in cells]
     parameters = list(dict.fromkeys(key for point in points for key in point))
-    score_rows: list[tuple[Any, ...]] = []
+    columns = _Columns()
     outcome_rows: list[tuple[Any, ...]] = []
     time_rows: list[tuple[Any, ...]] = []
     trials: dict[int, list[TrialResult]] = {}
+    names = [[tracker["name"] for tracker in cell["trackers"]] for cell in cells]
     for index, row in contents.rows.items():
         number, trial = index % len(cells), index // len(cells)
         scenario = cells[number]["scenario"]
         result, measured = json.loads(row.result), json.loads(row.time)
-        where = (index, number, scenario, trial)
         outcome_rows.append(
             (
-                *where,
-                row.outcome,
-                result.get("error"),
-                row.note,
-                result.get("recording"),
-                measured.get("seconds"),
+                *(index, number, scenario, trial, row.outcome),
+                *(result.get("error"), row.note, result.get("recording"), measured.get("seconds")),
             )
         )
         if row.outcome != "ok":
             continue
-        settings = tuple(points[number].get(name) for name in parameters)
-        names = [tracker["name"] for tracker in cells[number]["trackers"]]
-        scores = {name: result["scores"][name] for name in names}
-        times = {name: StepTime(*measured["steps"][name]) for name in names}
+        scores = {name: result["scores"][name] for name in names[number]}
+        times = {name: StepTime(*measured["steps"][name]) for name in names[number]}
         for tracker, values in scores.items():
-            for metric, value in values.items():
-                score_rows.append((*where, tracker, metric, value, *settings))
+            columns.add(index, tracker, values)
         for tracker, time in times.items():
             time_rows.append((index, number, tracker, time.mean, time.median, time.p99))
         trials.setdefault(number, []).append(
             TrialResult(scenario, seed, trial, result["recording"], scores, times)
         )
-    place = ["index", "cell", "scenario", "trial"]
-    scores_table = pd.DataFrame(
-        score_rows, columns=[*place, "tracker", "metric", "value", *parameters]
-    )
-    scores_table["value"] = scores_table["value"].astype(float)
+    cells_table = _cells(points, parameters, [cell["scenario"] for cell in cells])
     return StudyResults(
         name=contents.about["name"],
         seed=seed,
@@ -130,16 +123,65 @@ def load_results(file: Path | str) -> StudyResults:
         done=len(contents.rows),
         digest=None if contents.damaged else contents.digest(),
         damaged=contents.damaged,
-        cells=_cells(points, parameters, [cell["scenario"] for cell in cells]),
-        scores=scores_table,
+        cells=cells_table,
+        scores=columns.table(cells_table),
         outcomes=pd.DataFrame(
-            outcome_rows, columns=[*place, "outcome", "error", "note", "recording", "seconds"]
+            outcome_rows,
+            columns=[
+                *("index", "cell", "scenario", "trial", "outcome"),
+                *("error", "note", "recording", "seconds"),
+            ],
         ),
         times=pd.DataFrame(
             time_rows, columns=["index", "cell", "tracker", "mean", "median", "p99"]
         ),
         trials={number: tuple(found) for number, found in trials.items()},
     )
+
+
+class _Columns:
+    """The scores of many trials as they are read, one short array a trial and tracker: rows of a
+    large study would not fit into memory as Python values."""
+
+    def __init__(self) -> None:
+        self._values: list[FloatArray] = []
+        self._index: list[int] = []
+        self._trackers: list[str] = []
+        self._metrics: list[tuple[str, ...]] = []
+        self._kinds: dict[tuple[str, ...], tuple[str, ...]] = {}
+
+    def add(self, index: int, tracker: str, values: Mapping[str, float | None]) -> None:
+        kind = tuple(values)
+        self._metrics.append(self._kinds.setdefault(kind, kind))
+        self._trackers.append(tracker)
+        self._index.append(index)
+        self._values.append(np.array([*values.values()], dtype=np.float64))
+
+    def table(self, cells: pd.DataFrame) -> pd.DataFrame:
+        import pandas as pd
+
+        lengths = [len(values) for values in self._values]
+        index = np.repeat(np.array(self._index, dtype=np.int64), lengths)
+        cell = index % len(cells)
+        metrics = list(dict.fromkeys(name for kind in self._kinds for name in kind))
+        code = {kind: np.array([metrics.index(name) for name in kind]) for kind in self._kinds}
+        trackers = list(dict.fromkeys(self._trackers))
+        tracker = np.array([trackers.index(name) for name in self._trackers], dtype=np.int64)
+        columns: dict[str, Any] = {
+            "index": index,
+            "cell": cell,
+            "scenario": pd.Categorical(cells["scenario"].to_numpy()[cell]),
+            "trial": index // len(cells),
+            "tracker": pd.Categorical.from_codes(np.repeat(tracker, lengths), pd.Index(trackers)),
+            "metric": pd.Categorical.from_codes(
+                np.concatenate([code[kind] for kind in self._metrics] or [np.zeros(0, np.int64)]),
+                pd.Index(metrics),
+            ),
+            "value": np.concatenate(self._values or [np.zeros(0)]),
+        }
+        for name in cells.columns[2:]:
+            columns[name] = cells[name].to_numpy()[cell]
+        return pd.DataFrame(columns)
 
 
 def export(results: StudyResults, file: Path) -> None:

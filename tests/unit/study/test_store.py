@@ -339,7 +339,7 @@ def test_results_as_tables(study, whole, tmp_path):
 
     export(results, tmp_path / "scores.csv")
     back = pd.read_csv(tmp_path / "scores.csv")
-    pd.testing.assert_frame_equal(back, results.scores, check_dtype=False)
+    pd.testing.assert_frame_equal(back, results.scores, check_dtype=False, check_categorical=False)
     export(results, tmp_path / "scores.parquet")
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "scores.parquet"), results.scores)
     with pytest.raises(InputError, match=r"\.csv or \.parquet"):
