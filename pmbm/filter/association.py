@@ -149,9 +149,9 @@ def associate(
     if scan.first is not None:
         log_first = log_first + _log(scan.first[:, 0])
         log_clutter = log_clutter + _log(scan.first[:, 1])
-    if scan.evidence is not None and scan.kinds is not None and local.kind is not None:
-        log_first = log_first + _log(scan.evidence @ scan.kinds)
-        said = (local.kind[known.row] * scan.evidence[known.measurement]).sum(axis=1)
+    if scan.evidence is not None:
+        log_first = log_first + _log(scan.said_of_first())
+        said = scan.said_of_known(local.kind, known.row, known.measurement)
         known = replace(known, log_weight=known.log_weight + np.maximum(_log(said), LOG_TINY))
     log_new = np.maximum(np.logaddexp(log_first, log_clutter), LOG_TINY)
 

@@ -114,22 +114,19 @@ class Kinds:
 class Visibility:
     """A two-state Markov chain: seen, or not seen for the time being.
 
-    detection_seen, detection_unseen : P_D in either state, in [0, 1].
+    unseen : share of P_D that is left while an object is not seen, in [0, 1].
     stay_seen, stay_unseen : probability of staying in a state over `interval`, in (0, 1).
     interval : s, > 0.
     """
 
-    detection_seen: float
-    detection_unseen: float
+    unseen: float
     stay_seen: float
     stay_unseen: float
     interval: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in ("detection_seen", "detection_unseen"):
-            value = getattr(self, name)
-            if not 0 <= value <= 1:
-                raise InputError("visibility", field=name, expected="in [0, 1]", got=value)
+        if not 0 <= self.unseen <= 1:
+            raise InputError("visibility", field="unseen", expected="in [0, 1]", got=self.unseen)
         for name in ("stay_seen", "stay_unseen"):
             value = getattr(self, name)
             if not 0 < value < 1:
@@ -146,31 +143,29 @@ class Visibility:
 
     @property
     def usual(self) -> float:
-        """Long-run share of the time that an object is in the state seen."""
+        """P(seen) in the long run: of an object about which nothing else is known."""
         return (1 - self.stay_unseen) / (2 - self.stay_seen - self.stay_unseen)
 
     @property
-    def detection(self) -> float:
-        """P_D of an object about which nothing else is known."""
-        return self.usual * self.detection_seen + (1 - self.usual) * self.detection_unseen
+    def usual_share(self) -> float:
+        """Share of P_D that such an object has."""
+        return self.usual + (1 - self.usual) * self.unseen
 
     def after(self, seen: FloatArray, dt: float) -> FloatArray:
         """P(seen) (H,) after `dt` seconds, from that before."""
         memory = (self.stay_seen + self.stay_unseen - 1) ** (dt / self.interval)
         return self.usual + (seen - self.usual) * memory
 
-    def mean_detection(self, seen: FloatArray) -> FloatArray:
-        """P_D (H,) in the open, given P(seen)."""
-        return seen * self.detection_seen + (1 - seen) * self.detection_unseen
+    def share(self, seen: FloatArray) -> FloatArray:
+        """Share (H,) of P_D that objects have, given P(seen)."""
+        return seen + (1 - seen) * self.unseen
 
     def if_detected(self, seen: FloatArray) -> FloatArray:
         """P(seen) (H,) of objects that were detected."""
-        chance = self.mean_detection(seen)
-        return np.divide(seen * self.detection_seen, chance, out=seen.copy(), where=chance > 0)
+        return seen / np.maximum(self.share(seen), np.finfo(float).tiny)
 
-    def if_missed(self, seen: FloatArray, in_sight: FloatArray) -> FloatArray:
-        """P(seen) (H,) of objects that exist and were missed; in_sight (H,) : share of P_D that
-        view and shadows leave."""
-        chance = 1 - in_sight * self.mean_detection(seen)
-        missed = seen * (1 - in_sight * self.detection_seen)
-        return np.divide(missed, chance, out=seen.copy(), where=chance > 0)
+    def if_missed(self, seen: FloatArray, P_D: FloatArray) -> FloatArray:
+        """P(seen) (H,) of objects that exist and were missed; P_D (H,) : over both states."""
+        missed_if_seen = 1 - P_D / np.maximum(self.share(seen), np.finfo(float).tiny)
+        chance = 1 - P_D
+        return np.divide(seen * missed_if_seen, chance, out=seen.copy(), where=chance > 0)

@@ -152,8 +152,11 @@ class Sensor:
     visibility: Visibility | None = None
 
     def detection_probability(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
-        """(N,) P_D averaged over Gaussians (N,4), (N,4,4)."""
-        return self.detection * self._share_in_view(mean, cov)
+        """(N,) P_D of undetected objects, averaged over Gaussians (N,4), (N,4,4)."""
+        own = self.detection
+        if self.visibility is not None:
+            own *= self.visibility.usual_share
+        return own * self._share_in_view(mean, cov)
 
     def _share_in_view(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
         return np.ones(len(mean)) if self.view is None else self.view.share_inside(mean, cov)
@@ -162,10 +165,10 @@ class Sensor:
         """P_D (H,) of local hypotheses, as misses and as detections count it: in the open, times
         the expected visible share, floored in the latter."""
         own: FloatArray | float = self.detection
-        if self.visibility is not None and local.seen is not None:
-            own = self.visibility.mean_detection(local.seen)
-        elif self.from_scores is not None:
+        if self.from_scores is not None:
             own = self.from_scores.of(local.confidence)
+        if self.visibility is not None and local.seen is not None:
+            own = own * self.visibility.share(local.seen)
         in_the_open = own * self._share_in_view(local.mean, local.cov)
         if self.shadows is None:
             return in_the_open, in_the_open

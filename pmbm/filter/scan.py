@@ -17,7 +17,8 @@ class Scan:
     position (M,2); box (M,5) : z, length, width, height, yaw; label (M,) int8.
     evidence (M,K) or None : p(score, label | kind) / p(score, label | clutter) for the K kinds that
         an object may be of; None is a scan whose scores and labels say nothing.
-    kinds (K,) or None : shares of the kinds among objects detected for the first time.
+    kinds (K,) or None : shares of the kinds among objects detected for the first time; None where
+        K = 1, which needs no keeping track of.
     first (M,2) or None : factors on the density of first detections and on that of clutter, for
         the rule that lets a score speak there alone.
     confidence (M,) or None : in [0, 1], what a track remembers of its detections.
@@ -30,6 +31,21 @@ class Scan:
     kinds: FloatArray | None = None
     first: FloatArray | None = None
     confidence: FloatArray | None = None
+
+    def said_of_first(self) -> FloatArray:
+        """(M,) what each detection says of an object never detected before."""
+        assert self.evidence is not None
+        return self.evidence[:, 0] if self.kinds is None else self.evidence @ self.kinds
+
+    def said_of_known(
+        self, kind: FloatArray | None, row: NDArray[np.intp], measurement: NDArray[np.intp]
+    ) -> FloatArray:
+        """(n,) what the measurements say of the objects of local hypotheses `row`, of P(kind)
+        `kind` (H,K)."""
+        assert self.evidence is not None
+        if kind is None:
+            return self.evidence[measurement, 0]
+        return (kind[row] * self.evidence[measurement]).sum(axis=1)
 
     def kind_after(self, before: FloatArray, measurement: NDArray[np.intp]) -> FloatArray:
         """P(kind) (n,K) after these measurements (n,), by Bayes' rule from (n,K) or (K,)."""

@@ -34,8 +34,6 @@ from pmbm.filter.update import update
 from pmbm.score import ScoreModel
 from pmbm.types import Detections, Site, Tracks, vouched
 
-_EVERYWHERE = "everywhere"
-
 
 class PMBMTracker:
     """Follows an unknown number of objects through noisy, cluttered, incomplete detections.
@@ -71,7 +69,6 @@ class PMBMTracker:
         """
         config = self.config
         clock = _Clock()
-        everywhere = config.scores == _EVERYWHERE
         view = View.of(self.site, detections.sensor_pose)
         scan = self._scan(detections)
         if self.density is None:
@@ -81,7 +78,7 @@ class PMBMTracker:
                 local=Locals.empty(
                     config.history,
                     confidence=self._from_scores is not None,
-                    kinds=len(config.kinds.birth) if config.kinds else int(everywhere),
+                    kinds=len(config.kinds.birth) if config.kinds else 0,
                     seen=config.visibility is not None,
                 ),
             )
@@ -137,15 +134,16 @@ class PMBMTracker:
             scan = replace(
                 scan, evidence=config.kinds.evidence(detections), kinds=config.kinds.birth
             )
-        if config.scores == "ignore" and self._from_scores is None:
+        speaking = config.scores if config.kinds is None else "ignore"
+        if speaking == "ignore" and self._from_scores is None:
             return scan
         given = self._score_model.read(detections)
         s = np.clip(self._score_model.evidence(given), 1e-3, 1 - 1e-3)
-        if config.scores == _EVERYWHERE:
-            scan = replace(scan, evidence=(s / (1 - s))[:, None], kinds=np.ones(1))
+        if speaking == "everywhere":
+            scan = replace(scan, evidence=(s / (1 - s))[:, None])
         return replace(
             scan,
-            first=np.column_stack([2 * s, 2 * (1 - s)]) if config.scores == "first" else None,
+            first=np.column_stack([2 * s, 2 * (1 - s)]) if speaking == "first" else None,
             confidence=s if self._from_scores is not None else None,
         )
 
@@ -174,9 +172,7 @@ class PMBMTracker:
         hides = config.occlusion and len(predicted.local) > 0
         return Sensor(
             R=config.measurement_sd**2 * np.eye(2),
-            detection=(
-                config.visibility.detection if config.visibility else config.detection_probability
-            ),
+            detection=config.detection_probability,
             clutter=config.clutter_rate / view.area,
             view=view,
             from_scores=self._from_scores,

@@ -131,9 +131,7 @@ def _missed(local: Locals, association: Association, sensor: Sensor, rows: Index
     kept = local.take(rows)
     seen = kept.seen
     if seen is not None and sensor.visibility is not None:
-        in_the_open = sensor.visibility.mean_detection(seen)
-        in_sight = association.detection[rows] / np.where(in_the_open > 0, in_the_open, 1.0)
-        seen = sensor.visibility.if_missed(seen, in_sight)
+        seen = sensor.visibility.if_missed(seen, association.detection[rows])
     return replace(
         kept,
         existence=association.existence_if_missed[rows],

@@ -69,8 +69,8 @@ def errors(config, truth, frames):
 
 def test_neutral_marks_are_the_plain_filter():
     _, frames = traffic(0, poles=2, burst=0.05)
-    plain = PMBMTracker(PMBMConfig.textbook(detection_probability=0.9))
-    chain = Visibility(detection_seen=0.9, detection_unseen=0.9, stay_seen=0.9, stay_unseen=0.8)
+    plain = PMBMTracker(PMBMConfig.textbook())
+    chain = Visibility(unseen=1.0, stay_seen=0.9, stay_unseen=0.8)
     marked = PMBMTracker(PMBMConfig.textbook(visibility=chain))
     kinds = PMBMTracker(PMBMConfig.textbook(kinds=Kinds.neutral(), report_above=0.5))
     for one in frames:
@@ -87,9 +87,10 @@ def test_neutral_marks_are_the_plain_filter():
 
 def test_visibility_is_a_hidden_markov_model():
     """Existence and P(seen) through detections and misses, against a sum over all state paths."""
-    chain = Visibility(detection_seen=0.95, detection_unseen=0.2, stay_seen=0.9, stay_unseen=0.7)
+    chain = Visibility(unseen=0.2 / 0.95, stay_seen=0.9, stay_unseen=0.7)
     config = PMBMConfig.textbook(
         visibility=chain,
+        detection_probability=0.95,
         clutter_rate=1e-9,
         birth_rate=0.0,
         initial_objects=1.0,
@@ -126,11 +127,11 @@ def test_visibility_is_a_hidden_markov_model():
 
 
 def test_misses_in_a_run_say_less_and_less():
-    chain = Visibility(detection_seen=0.95, detection_unseen=0.1, stay_seen=0.95, stay_unseen=0.8)
+    chain = Visibility(unseen=0.1, stay_seen=0.95, stay_unseen=0.8)
     lifetimes = {}
     for name, config in {
-        "plain": PMBMConfig.textbook(detection_probability=chain.detection),
-        "chain": PMBMConfig.textbook(visibility=chain),
+        "plain": PMBMConfig.textbook(detection_probability=0.95 * chain.usual_share),
+        "chain": PMBMConfig.textbook(visibility=chain, detection_probability=0.95),
     }.items():
         tracker = PMBMTracker(config)
         for k in range(10):
@@ -173,7 +174,7 @@ def test_poles_are_not_reported_as_cars():
 
 
 def test_cars_are_kept_through_runs_of_misses():
-    chain = Visibility(detection_seen=0.95, detection_unseen=0.02, stay_seen=0.98, stay_unseen=0.83)
+    chain = Visibility(unseen=0.02, stay_seen=0.98, stay_unseen=0.83)
     plain = marked = (0, 0)
     for seed in range(4):
         truth, frames = traffic(seed, burst=0.03)
@@ -185,12 +186,7 @@ def test_cars_are_kept_through_runs_of_misses():
 
 def test_marked_output_is_causal():
     truth, frames = traffic(3, poles=3, burst=0.03)
-    config = PMBMConfig(
-        kinds=Kinds.simple(ghosts=0.3, score=SCORES),
-        visibility=Visibility(
-            detection_seen=0.95, detection_unseen=0.1, stay_seen=0.97, stay_unseen=0.8
-        ),
-    )
+    config = PMBMConfig(kinds=Kinds.simple(ghosts=0.3, score=SCORES))
     whole, part = PMBMTracker(config), PMBMTracker(config)
     expected = [whole.step(one) for one in frames]
     for one, tracks in zip(frames[:20], expected, strict=False):
@@ -201,9 +197,9 @@ def test_marked_output_is_causal():
 
 
 def test_impossible_marks_are_refused_by_name():
-    good = {"detection_seen": 0.9, "detection_unseen": 0.1, "stay_seen": 0.9, "stay_unseen": 0.8}
+    good = {"unseen": 0.1, "stay_seen": 0.9, "stay_unseen": 0.8}
     for bad in (
-        {"detection_seen": 1.2},
+        {"unseen": 1.2},
         {"stay_seen": 1.0},
         {"stay_unseen": 0.05},
         {"interval": 0},
@@ -220,6 +216,6 @@ def test_impossible_marks_are_refused_by_name():
             ghost_score=SCORES,
         )
     with pytest.raises(InputError, match="scores"):
-        PMBMConfig(kinds=Kinds.neutral(), scores="everywhere")
+        PMBMConfig(kinds=Kinds.neutral(), scores="first")
     with pytest.raises(InputError, match="visibility"):
         PMBMConfig(visibility=0.9)

@@ -10,7 +10,7 @@ import pytest
 
 from pmbm.errors import InputError
 from pmbm.filter import PMBMConfig, PMBMTracker
-from pmbm.filter.density import Density, Locals, Mixture
+from pmbm.filter.density import Density, Mixture
 from pmbm.filter.models import DetectionFromScores, Sensor
 from pmbm.filter.scan import Scan
 from pmbm.score import ScoreModel
@@ -124,16 +124,15 @@ def test_likelihood_ratios_speak_in_every_branch():
 
     ppp = Mixture(np.log([0.4]), np.zeros((1, 4)), np.diag([9.0, 9, 1, 1])[None])
     sensor = Sensor(0.1 * np.eye(2), 0.9, 0.02)
-    silent = {"evidence": np.ones((1, 1)), "kinds": np.ones(1)}
-    first = replace(Scan.of_positions([[0.5, 0.0]]), **silent)
-    start = Density.initial(ppp, local=Locals.empty(kinds=1))
+    first = Scan.of_positions([[0.5, 0.0]])
+    start = Density.initial(ppp)
     found = associate(start, first, sensor, gate_threshold=20, max_hypotheses=9)
     prior = predict(
         update(start, first, found, sensor),
         Transition(*constant_velocity(0.1, 1.0), 0.99),
         Mixture.empty(),
     )
-    scan = replace(Scan.of_positions([[0.6, 0.1]]), **silent)
+    scan = Scan.of_positions([[0.6, 0.1]])
     scored = replace(scan, evidence=np.array([[4.0]]))
     plain, paper = (
         associate(prior, one, sensor, gate_threshold=20, max_hypotheses=9) for one in (scan, scored)

@@ -75,7 +75,7 @@ def test_later_frames_make_earlier_ones_better():
 
 def test_gaps_are_filled_and_tracks_reach_back():
     truth, frames = drive(1, gap=(26, 27))
-    early = PMBMConfig(report_above=0.01, initial_objects=0.0)
+    early = PMBMConfig(report_above=0.01, initial_objects=0.0, scores="ignore")
     tracker = PMBMTracker(early)
     steps = [tracker.step(one) for one in frames]
     online = [one.take(one.score > 0.5) for one in steps]
@@ -89,7 +89,9 @@ def test_gaps_are_filled_and_tracks_reach_back():
 
 
 def test_what_never_was_probable_is_not_reported():
-    tracker = PMBMTracker(PMBMConfig(report_above=0.001, initial_objects=0.0, recycle_below=1e-4))
+    tracker = PMBMTracker(
+        PMBMConfig(report_above=0.001, initial_objects=0.0, recycle_below=1e-4, scores="ignore")
+    )
     steps = [tracker.step(frame(0.1 * k, [[10, 10]] if k == 3 else [])) for k in range(8)]
     assert sum(map(len, steps)) > 0
     assert sum(map(len, smooth(steps))) == 0

@@ -76,6 +76,7 @@ def test_a_lone_object_is_a_kalman_filter():
         survival=1.0,
         birth_components=1,
         initial_objects=0.7,
+        measurement_sd=0.3,
     )
     tracker = PMBMTracker(config)
     rng = np.random.default_rng(4)
