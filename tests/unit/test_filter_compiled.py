@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from pmbm import Detections, PMBMConfig, PMBMTracker, Site, compiled
+from pmbm.filter.clusters import factor, merge_equal, split
+from pmbm.filter.density import Globals, starts
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
+from pmbm.filter.reduction import _pruned
 
 native = pytest.importorskip("pmbm._native", reason="installed without a compiler")
 
@@ -106,3 +109,60 @@ def test_the_tracker_says_the_same(monkeypatch, config):
             np.testing.assert_allclose(
                 getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-9
             )
+
+
+def random_table(seed):
+    """A mixture of a few clusters, in which some tracks move together, and the tracks (H,)."""
+    random = np.random.default_rng(seed)
+    cluster, weight, rows, track = [], [], [], []
+    for c in range(6):
+        locals_of = []
+        for _ in range(random.integers(1, 6)):
+            locals_of.append(len(track) + np.arange(random.integers(1, 4)))
+            track += [track[-1] + 1 if track else 0] * len(locals_of[-1])
+        count = int(random.integers(1, 30))
+        picks = [random.integers(-1, len(own), count) for own in locals_of]
+        for one, other in zip(picks[:-1:3], picks[1::3], strict=False):
+            other[:] = np.minimum(other, one)
+        for row in range(count):
+            rows.append(
+                [own[p[row]] for own, p in zip(locals_of, picks, strict=True) if p[row] >= 0]
+            )
+        cluster += [c] * count
+        weight.append(random.dirichlet(np.ones(count)))
+    member = np.array([m for row in rows for m in row], dtype=np.intp)
+    table = Globals(
+        np.array(cluster),
+        np.log(np.concatenate(weight)),
+        starts(np.array([*map(len, rows)])),
+        member,
+    )
+    return table, np.array(track)
+
+
+TABLE_WORK = {
+    "merge_equal": lambda table, track: merge_equal(table),
+    "split": lambda table, track: split(merge_equal(table), len(track)),
+    "factor a little": lambda table, track: factor(merge_equal(table), track, 0.02),
+    "factor": lambda table, track: factor(merge_equal(table), track, 0.15),
+    "factor all": lambda table, track: factor(merge_equal(table), track, 10.0),
+    "prune": lambda table, track: _pruned(table, 0.02, np.full(6, 100))[0],
+    "cap": lambda table, track: _pruned(table, 0.0, np.full(6, 3))[0],
+}
+
+
+@pytest.mark.parametrize("name", TABLE_WORK)
+@pytest.mark.parametrize("seed", range(6))
+def test_tables_come_out_the_same(monkeypatch, name, seed):
+    table, track = random_table(seed)
+    fast, plain = on_both(monkeypatch, lambda: TABLE_WORK[name](table, track))
+    for field in ("cluster", "start", "member"):
+        assert getattr(fast, field).tolist() == getattr(plain, field).tolist()
+    np.testing.assert_allclose(fast.log_weight, plain.log_weight, rtol=0, atol=1e-12)
+
+
+def test_factoring_had_something_to_do():
+    table, track = random_table(0)
+    merged = merge_equal(table)
+    found = [factor(merged, track, tolerance).clusters for tolerance in (1e-9, 0.15, 10.0)]
+    assert merged.clusters <= found[0] < found[1] < found[2]
