@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from spoiled import NASTY, spoiled_bytes, spoiled_json
 
@@ -46,6 +46,8 @@ TABLES = [
     f"waymo/v2/lidar_box/{SEGMENT}.parquet",
     f"waymo/v2/vehicle_pose/{SEGMENT}.parquet",
 ]
+FEWER = settings(max_examples=settings.default.max_examples // 2)
+"""Many files share their readers."""
 MESSAGES = ["waymo/detections.bin", f"waymo/out/{SEGMENT}.bin"]
 
 
@@ -97,6 +99,7 @@ def check(folder, path, result):
 
 
 @pytest.mark.parametrize("path", JSON_FILES)
+@FEWER
 @given(data=st.data())
 def test_json(folder, path, data):
     text = (folder / path).read_text()
@@ -124,6 +127,7 @@ def test_json_that_only_looks_like_it(folder, path, text):
 
 
 @pytest.mark.parametrize("path", MESSAGES)
+@FEWER
 @given(data=st.data())
 def test_messages(folder, path, data):
     content = data.draw(spoiled_bytes((folder / path).read_bytes()))
@@ -185,6 +189,7 @@ def spoiled_table(draw, table):
 
 
 @pytest.mark.parametrize("path", TABLES)
+@FEWER
 @given(data=st.data())
 def test_tables(folder, path, data):
     table = data.draw(spoiled_table(loaded(folder / path)))
@@ -195,6 +200,7 @@ def test_tables(folder, path, data):
 
 
 @pytest.mark.parametrize("path", TABLES)
+@FEWER
 @given(data=st.data())
 def test_table_bytes(folder, path, data):
     content = data.draw(spoiled_bytes((folder / path).read_bytes()))
