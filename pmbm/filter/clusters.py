@@ -115,38 +115,48 @@ def _product_rows(
 ) -> tuple[Index, Index, Index]:
     """Pairs (row of the product, row of `table` it is made of), sorted by the former, and the
     component of each row of the product, ascending."""
-    row_component = component[table.cluster]
+    order = np.argsort(component, kind="stable")
+    owner = component[order]
     size = np.bincount(table.cluster, minlength=table.clusters)
-    factors = np.bincount(component, minlength=number)
-    branching = np.bincount(component, size > 1, minlength=number)
-    # Components whose product has one row per row of their only cluster, or one row in all.
-    plain = (factors <= 1) | (branching == 0)
-    made_of = np.flatnonzero(plain[row_component])
-    by_component = made_of[np.argsort(row_component[made_of], kind="stable")]
-    owner = row_component[by_component]
-    one_row = branching == 0
-    rows_of = np.where(one_row, 1, np.bincount(owner, minlength=number))
-    products = {}
-    first_row = _first_row(table)
-    breadth = summed(np.diff(table.start), table.cluster, table.clusters) / size
-    for label in np.flatnonzero(~plain).tolist():
-        members = np.flatnonzero(component == label)
-        products[label] = _best_of_product(
-            [np.arange(first_row[c], first_row[c] + size[c]) for c in members],
+    breadth = (summed(np.diff(table.start), table.cluster, table.clusters) / size)[order]
+    size, first_row = size[order], _first_row(table)[order]
+    begin = np.searchsorted(owner, np.arange(number))
+    factors = np.diff(begin, append=len(owner))
+    limit = np.clip(LARGEST_TABLE / np.maximum(np.add.reduceat(breadth, begin), 1.0), 1, cap)
+
+    # A product's rows are counted like the digits of a clock: one wheel a factor.
+    stride = np.ones(len(owner), np.intp)
+    rank = np.arange(len(owner)) - begin[owner]
+    for wheel in range(1, int(factors.max())):
+        at = np.flatnonzero(rank == wheel)
+        stride[at] = np.minimum(stride[at - 1] * size[at - 1], LARGEST_TABLE + 1)
+    rows_of = stride[begin + factors - 1] * size[begin + factors - 1]
+    too_many = rows_of > limit
+    best = {
+        label: _best_of_product(
+            [
+                np.arange(first_row[k], first_row[k] + size[k])
+                for k in range(begin[label], begin[label] + factors[label])
+            ],
             table.log_weight,
-            int(np.clip(LARGEST_TABLE / max(breadth[members].sum(), 1.0), 1, cap)),
+            int(limit[label]),
         )
-        rows_of[label] = len(products[label])
+        for label in np.flatnonzero(too_many).tolist()
+    }
+    for label, made in best.items():
+        rows_of[label] = len(made)
     first = starts(rows_of)[:-1]
-    rank = np.arange(len(owner)) - np.searchsorted(owner, owner)
-    joint_parts = [first[owner] + np.where(one_row[owner], 0, rank)]
-    source_parts = [by_component]
-    for label, made in products.items():
+    whole = np.flatnonzero(~too_many[owner])
+    factor_of = np.repeat(whole, rows_of[owner[whole]])
+    row = ragged(np.zeros(len(whole), np.intp), rows_of[owner[whole]])
+    joint_parts = [first[owner[factor_of]] + row]
+    source_parts = [first_row[factor_of] + row // stride[factor_of] % size[factor_of]]
+    for label, made in best.items():
         joint_parts.append(np.repeat(first[label] + np.arange(len(made)), made.shape[1]))
         source_parts.append(made.ravel())
     joint, source = np.concatenate(joint_parts), np.concatenate(source_parts)
-    order = np.argsort(joint, kind="stable")
-    return joint[order], source[order], np.repeat(np.arange(number), rows_of)
+    by_row = np.argsort(joint, kind="stable")
+    return joint[by_row], source[by_row], np.repeat(np.arange(number), rows_of)
 
 
 def _best_of_product(factors: list[Index], log_weight: FloatArray, cap: int) -> Index:

@@ -318,7 +318,7 @@ def test_a_crowd_in_one_cluster_does_bounded_work(monkeypatch):
     assert len(reduced.hypotheses.member) <= 60
 
 
-@pytest.mark.parametrize("limit", [5, 100])
+@pytest.mark.parametrize("limit", [5, 35, 36, 100])
 def test_joining_large_clusters_keeps_the_best_of_their_product(limit):
     rng = np.random.default_rng(5)
     P = np.diag([0.5, 0.5, 1.0, 1.0])
