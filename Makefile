@@ -1,11 +1,13 @@
 # make demo   a Monte Carlo run of every demo scenario: a table, and reports/demo.html
 # make test   the everyday tests        make lint    format, lint, types
+# make gate   the tracker beside that of commit AGAINST, trial by trial
 # make verify the long statistical suite        make bench   speed
 SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 NATIVE := CMakeLists.txt pmbm/native.cpp $(wildcard pmbm/*/*.hpp)
+AGAINST ?= HEAD~1
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
@@ -14,7 +16,7 @@ export MKL_NUM_THREADS := 1
 DEMO := single_straight crossing truck_occlusion roundabout
 DEMO_SEED := 20210606
 
-.PHONY: demo test lint verify bench clean
+.PHONY: demo test lint gate verify bench clean
 .DEFAULT_GOAL := test
 
 $(STAMP): pyproject.toml Makefile $(NATIVE)
@@ -38,6 +40,9 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+gate: $(STAMP)
+	$(BIN)/pmbm gate tests/gate.toml --against $(AGAINST) --jobs 2
 
 verify: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m slow --verification reports/verification.json

@@ -10,7 +10,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import Pipe
@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from pmbm.errors import InputError
+from pmbm.study.code import WITHOUT_EFFECT
 from pmbm.types import Detections, Site, Tracks
 
-_NATIVE_SOURCES = ("CMakeLists.txt", "pmbm/assignment/*.cpp", "pmbm/assignment/*.hpp")
+_NATIVE_SOURCES = ("CMakeLists.txt", "pmbm/*.cpp", "pmbm/*.hpp")
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,8 @@ def same_sources(folder: str, factory: str, repository: Path | None = None) -> b
             # Not of this repository: installed, and the same for both.
             continue
         there = Path(folder) / here.relative_to(top)
-        if _tree(here) != _tree(there):
+        passed_over = WITHOUT_EFFECT if package == "pmbm" else ()
+        if _tree(here, passed_over) != _tree(there, passed_over):
             return False
     return True
 
@@ -172,12 +174,14 @@ def _place(package: str) -> Path | None:
     return origin.parent if spec.submodule_search_locations is not None else origin
 
 
-def _tree(place: Path) -> str:
+def _tree(place: Path, passed_over: Sequence[str]) -> str:
     hasher = hashlib.sha256()
     files = [place] if place.is_file() else sorted(place.rglob("*"))
     for file in files:
+        name = "" if file == place else file.relative_to(place).as_posix()
+        if name.split("/")[0] in passed_over:
+            continue
         if file.suffix in (".py", ".toml", ".cpp", ".hpp") and file.is_file():
-            name = "" if file == place else file.relative_to(place).as_posix()
             hasher.update(f"{name} {file.stat().st_size};".encode())
             hasher.update(file.read_bytes())
     return hasher.hexdigest()

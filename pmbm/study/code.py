@@ -11,7 +11,7 @@ from typing import Any
 
 from pmbm.provenance import provenance
 
-_WITHOUT_EFFECT = ("cli", "regression", "pytest_plugin.py", "tune.py", "tune")
+WITHOUT_EFFECT = ("cli", "regression", "testing.py", "pytest_plugin.py", "tune.py", "tune")
 """Parts of pmbm that only run, judge or show trials."""
 
 
@@ -55,5 +55,5 @@ def _sources(package: str) -> Iterator[tuple[str, Path]]:
     for pattern in ("*.py", "*.toml"):
         for file in origin.parent.rglob(pattern):
             name = file.relative_to(origin.parent)
-            if package != "pmbm" or name.parts[0] not in _WITHOUT_EFFECT:
+            if package != "pmbm" or name.parts[0] not in WITHOUT_EFFECT:
                 yield name.as_posix(), file
