@@ -82,9 +82,8 @@ def main() -> None:
     for name in options.ids or BARS:
         rows[name] = _row(name)
         print(_line(rows[name]), flush=True)
-    ordered = [rows[name] for name in BARS if name in rows]
-    _write(options.out, ordered)
-    if any(row["verdict"] == "fail" for row in ordered):
+        _write(options.out, [rows[known] for known in BARS if known in rows])
+    if any(row["verdict"] == "fail" for row in rows.values()):
         sys.exit(1)
 
 
