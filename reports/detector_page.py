@@ -141,6 +141,8 @@ def _picture(report: DetectorReport, title: str, draw: _Draw, *, dark: bool) -> 
             axes.spines[side].set_color(colours["soft"])
         draw(axes, report.real, colours["truth"], "real", True)
         draw(axes, report.model, colours["detection"], "model", False)
+        if axes.get_yscale() == "linear":
+            axes.set_ylim(bottom=0)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(frameon=False, fontsize=7.5, labelcolor=colours["soft"])
     return figure
@@ -192,7 +194,6 @@ def _noise(label: int) -> _Draw:
             x, y = _means(chances.distance[rows], square, np.arange(0, 200, 8.0))
             told = name if axis == 0 else None
             axes.plot(x, np.sqrt(y), line, color=colour, label=told, **_style(real))
-        axes.set_ylim(bottom=0)
 
     return draw
 
@@ -208,7 +209,6 @@ def _scores(label: int) -> _Draw:
             density, edges = np.histogram(odds, np.linspace(-5, 16, 43), density=True)
             told = name if line == "-" else None
             axes.plot((edges[1:] + edges[:-1]) / 2, density, line, color=colour, label=told)
-        axes.set_ylim(bottom=0)
 
     return draw
 
@@ -241,4 +241,3 @@ def _clutter(axes: Axes, evidence: Evidence, colour: str, name: str, real: bool)
     share = np.bincount(count, minlength=16) / frames
     share[0] = 1 - len(count) / frames
     axes.plot(np.arange(len(share))[:26], share[:26], color=colour, label=name, **_style(real))
-    axes.set_ylim(bottom=0)

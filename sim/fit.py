@@ -239,12 +239,6 @@ def _fit_errors(sample: _Sample, scale: _ScoreScale) -> dict[str, Any]:
     kept = np.maximum(1 - _binned(flipped.astype(float), bins), 0.1)
     columns = [*position_error.T, *size_error.T, straight]
     deviations = [spread(column) for column in columns]
-    # Noise and pull together give the errors of size that there were.
-    gap = typical - hits.true_size
-    for axis in range(3):
-        pulled = np.square(pull) * _binned(np.square(gap[:, axis]), bins)
-        total = _binned(np.square(hits.size[:, axis] - hits.true_size[:, axis]), bins)
-        deviations[3 + axis] = np.sqrt(np.maximum(total - pulled, np.square(0.01)))
     deviations[6] = deviations[6] / np.sqrt(kept)
     standard = np.stack(
         [

@@ -125,6 +125,7 @@ def test_false_boxes_may_lie_along_the_sensors_axis_and_be_larger_or_smaller_as_
     assert stats.kstest(error[:, 1], "norm").pvalue > ALPHA
 
 
+@pytest.mark.slow
 def test_persistent_clutter_follows_the_profile_over_range_too():
     stands = 150
     pose = np.zeros((stands, 3))
@@ -148,6 +149,7 @@ def test_persistent_clutter_follows_the_profile_over_range_too():
     assert stats.kstest((r**2 / 2 - r**3 / 150) / (50**2 / 6), "uniform").pvalue > ALPHA
 
 
+@pytest.mark.slow
 def test_persistent_clutter_keeps_its_places_and_the_mean_rate():
     # The number of places is itself Poisson: many far-apart stands of one sensor.
     stands = 150

@@ -101,6 +101,7 @@ def test_the_fit_finds_the_detector_that_made_the_recordings(fitted):
     assert load_profile(fitted.plain()) == fitted
 
 
+@pytest.mark.slow
 def test_persistent_clutter_is_found():
     knobs = {"rate": 4.0, "persistent_share": 0.6, "persistent_detection": 0.7}
     model = load_profile({}, {"clutter": knobs})
@@ -123,6 +124,7 @@ def test_likeness_is_close_for_the_right_model_and_not_for_a_wrong_one(recording
     assert any(row.name.startswith("recall") and abs(row.difference) > 0.1 for row in off)
 
 
+@pytest.mark.slow
 def test_the_bootstrap_covers_recordings_of_the_same_kind(recordings, fitted):
     real = [figures(recording) for recording in recordings]
     model = [figures(r, fitted) for r in modelled(fitted, recordings, 50)]
@@ -132,6 +134,7 @@ def test_the_bootstrap_covers_recordings_of_the_same_kind(recordings, fitted):
     assert np.mean(inside) > 0.6
 
 
+@pytest.mark.slow
 def test_the_two_sample_test_tells_a_wrong_model_and_names_what_betrays_it(recordings, fitted):
     half = recordings[:6]
     right = two_sample(half, modelled(fitted, half, 50))
