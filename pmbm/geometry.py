@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import owens_t
 
 FloatArray = NDArray[np.float64]
 
@@ -22,6 +23,9 @@ _CORNER_SIGNS = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
         |   2 ---------- 3
         +--------------------- x
 """
+
+_NARROWEST = 1e-3
+"""m."""
 
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:
@@ -167,6 +171,61 @@ def visible_fraction(
     seen_whole = extent <= 0
     share = hidden / np.where(seen_whole, 1.0, extent)
     return np.where(seen_whole, 1.0, np.clip(1.0 - share, 0.0, 1.0))
+
+
+def normal_density(points: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> FloatArray:
+    """Densities (M,P), per m^2, of normals with mean (P,2) and covariance (P,2,2) at points (M,2).
+
+    A normal narrower than a millimetre is taken to be that wide.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    whitened, area = _whitened(points[:, None], mean, cov)
+    return np.exp(-0.5 * np.einsum("mpi,mpi->mp", whitened, whitened)) / (2 * np.pi * area)
+
+
+def normal_in_polygon(polygon: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> FloatArray:
+    """(P,) probability that points drawn from normals, mean (P,2) and covariance (P,2,2), lie in a
+    simple polygon (V,2), convex or not, to about 1e-14.
+
+    Where the normal is made round and central the polygon is a signed sum of triangles around the
+    origin, and of a triangle Owen's T function gives the probability in closed form (Owen 1956).
+    A normal narrower than a millimetre is taken to be that wide.
+    """
+    corner = _whitened(np.asarray(polygon, dtype=np.float64)[:, None], mean, cov)[0]
+    after = np.roll(corner, -1, axis=0)
+    edge = after - corner
+    length = np.hypot(edge[..., 0], edge[..., 1])
+    unit = edge / np.maximum(length, 1e-300)[..., None]
+    # Of each edge's line: the signed distance from the origin, and where along it the ends lie.
+    distance = _cross(corner, unit)
+    begin = np.einsum("vpi,vpi->vp", corner, unit)
+    angle = np.arctan2(_cross(corner, after), np.einsum("vpi,vpi->vp", corner, after))
+    near = np.maximum(np.abs(distance), 1e-15)
+    beyond = owens_t(near, (begin + length) / near) - owens_t(near, begin / near)
+    return np.abs((angle / (2 * np.pi) - np.copysign(1.0, angle) * beyond).sum(axis=0)).clip(
+        max=1.0
+    )
+
+
+def points_in_polygon(points: ArrayLike, polygon: ArrayLike) -> NDArray[np.bool_]:
+    """(M,) whether points (M,2) lie in a simple polygon (V,2), convex or not."""
+    x, y = np.asarray(points, dtype=np.float64).T[:, :, None]
+    x0, y0 = np.asarray(polygon, dtype=np.float64).T
+    x1, y1 = np.roll(x0, -1), np.roll(y0, -1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return crossing.sum(axis=1) % 2 == 1
+
+
+def _whitened(points: FloatArray, mean: ArrayLike, cov: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """L^-1 (points - mean) of normals with covariance L L', and the determinant (P,) of L."""
+    mean, cov = np.asarray(mean, dtype=np.float64), np.asarray(cov, dtype=np.float64)
+    l11 = np.sqrt(np.maximum(cov[:, 0, 0], _NARROWEST**2))
+    l21 = cov[:, 1, 0] / l11
+    l22 = np.sqrt(np.maximum(cov[:, 1, 1] - l21**2, _NARROWEST**2))
+    offset = points - mean
+    first = offset[..., 0] / l11
+    return np.stack([first, (offset[..., 1] - l21 * first) / l22], axis=-1), l11 * l22
 
 
 def _stacked(objects: FloatArray, occluders: Sequence[ArrayLike]) -> FloatArray:
