@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pmbm.geometry import corners, to_world, visible_fraction
 
-RAYS = 1500
+RAYS = 800
 
 
 def cast_rays(outlines, sensor, occluders):
