@@ -173,12 +173,15 @@ def test_ids_are_never_used_again():
     # An id names the detection that started the track: it lies there, at that time.
     frames = drive(3)
     first_of = np.cumsum([0] + [len(one) for one in frames])
-    tracker, where = PMBMTracker(), {}
+    tracker, where, ids = PMBMTracker(), {}, set()
     for k, one in enumerate(frames):
         known = set(where)
         for id_, state in zip((t := tracker.step(one)).id.tolist(), t.position, strict=True):
             where.setdefault(id_, (k, state))
         assert all(id_ < first_of[k + 1] for id_ in set(where) - known)
+        present = set(tracker.density.track_id.tolist())
+        assert all(first_of[k] <= id_ < first_of[k + 1] for id_ in present - ids)
+        ids |= present
     for id_, (k, state) in where.items():
         begun = int(np.searchsorted(first_of, id_, side="right")) - 1
         origin = frames[begun].position[id_ - first_of[begun]]
