@@ -5,7 +5,7 @@ import contextlib
 import numpy as np
 import pytest
 
-from sim import actors, fast_road, highway, schema, traffic
+from sim import actors, fast_drivers, fast_road, highway, schema, traffic
 from sim.scenario import load_scenario
 from sim.streams import Streams
 
@@ -142,7 +142,7 @@ def test_neighbours_among_equals(seed):
     places = opened.road.places()
     tied = 0
     for column, lane_index in enumerate(opened.road.table.index):
-        line = fast_road._Line(opened.road, column, places)
+        line = fast_drivers.Line(opened.road, column, places)
         tied += line.tied
         everybody = np.arange(len(opened.road.vehicles))
         fronts = line.fronts(everybody, places.along[everybody, column])
