@@ -56,7 +56,7 @@ def test_the_readme_and_the_ci_file_say_the_same():
 
 @pytest.mark.parametrize(
     "command",
-    [pytest.param(c, marks=() if c == "pytest" else pytest.mark.slow) for c in commands()],
+    [pytest.param(c, marks=pytest.mark.slow) for c in commands()],
 )
 def test_every_command_works(repository, command):
     said = run(repository, *shlex.split(command))

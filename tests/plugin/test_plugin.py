@@ -314,13 +314,14 @@ def test_the_gate_beside_another_tracker(project):
     project.runpytest().assert_outcomes(passed=4)
 
 
+@pytest.mark.slow
 def test_under_xdist(project):
     pytest.importorskip("xdist")
-    project.makepyfile(test_mine=SUITE, test_gate=GATE.format(tracker="Exact"))
+    project.makepyfile(test_mine=SUITE, test_gated_inside=GATE.format(tracker="Exact"))
     result = project.runpytest_subprocess("-n", "2", "--pmbm-update-baselines")
     result.assert_outcomes(passed=2, failed=1)
     result.stdout.fnmatch_lines(["*replays of worst trials*", "*.html", "*stored baselines*"])
-    project.runpytest("test_gate.py").assert_outcomes(passed=1)
+    project.runpytest("test_gated_inside.py").assert_outcomes(passed=1)
 
 
 def test_loading_the_plugin_imports_nothing_heavy(project):

@@ -16,7 +16,7 @@ from pmbm.regression.verdicts import Verdict
 ALPHA = 0.01
 CALM = World(margin=1 / 60, pair_sd=0.03)
 NOISY = World(margin=0.05, pair_sd=0.2)
-EVERY_DAY = 150
+EVERY_DAY = 60
 LONG = 2000
 
 
@@ -100,5 +100,5 @@ def test_without_the_two_rules_disasters_pass():
         )
         rules = type(world.rules)(margin=world.margin, rarest=0.4)
         patch.setattr(World, "rules", rules)
-        count, studies = rare_disasters(world, 60, seed=5)
+        count, studies = rare_disasters(world, 30, seed=5)
     assert count > 0.05 * studies

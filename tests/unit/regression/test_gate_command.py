@@ -185,6 +185,7 @@ def test_against_a_commit(history, capsys):
     assert (code, out) == (0, "pass: both trackers are the same code\n")
 
 
+@pytest.mark.slow
 def test_bisect_names_the_first_bad_commit(history, capsys):
     code, out, _ = pmbm(capsys, "gate", "night.toml", "--bisect", "c0..c3")
     assert code == 1

@@ -120,6 +120,7 @@ def test_the_same_sources_are_recognised(repository):
         assert not same_sources(other, "mine_in_git:Mine")
 
 
+@pytest.mark.slow
 def test_the_gate_runs_a_commit_beside_the_candidate(repository):
     metric, rules = (
         gated_metric("ospa", [0.0, 2.0]),
