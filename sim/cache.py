@@ -127,11 +127,10 @@ def _key(content: str, seed: int, trial: int) -> str:
 @functools.cache
 def _code_hash() -> str:
     """Of every source file that a scene may depend on."""
-    import pmbm.geometry
-    import pmbm.types
+    from pmbm import door, geometry, labels, types
 
     files = sorted(Path(__file__).parent.glob("*.py"))
-    files += [Path(str(module.__file__)) for module in (pmbm.geometry, pmbm.types)]
+    files += [Path(str(module.__file__)) for module in (door, geometry, labels, types)]
     hasher = hashlib.sha256()
     for file in files:
         hasher.update(file.name.encode() + file.read_bytes())
