@@ -118,7 +118,7 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
 
     from pmbm.errors import InputError
     from pmbm.filter import PMBMTracker, smooth
-    from pmbm.tracking import ByLabel, joined_tracks, run
+    from pmbm.tracking import joined_tracks, run
 
     parts = []
     for label, configured in trackers.items():
@@ -130,8 +130,9 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
             )  # fmt: skip
         config = tracker.config
         early = dataclasses.replace(config, report_above=config.report_above / 10)
-        factory = {label: lambda site, early=early: PMBMTracker(early, site)}
-        found = run(ByLabel(factory, recording.site), recording)
+        own = tuple(frame.take(frame.label == label) for frame in recording.detections)
+        alone = dataclasses.replace(recording, detections=own, origin=None)
+        found = run(PMBMTracker(early, recording.site), alone)
         parts.append(smooth(found.steps, early, config.report_above))
     ids: dict[tuple[int, int], int] = {}
     steps = []

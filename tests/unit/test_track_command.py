@@ -149,6 +149,13 @@ def test_batch_fills_what_online_had_not_reported_yet(folder):
     assert set(frames["online"]) < set(frames["batch"])
 
 
+def test_batch_with_nothing_to_see(folder):
+    for name in ("0000", "0001"):
+        (folder / "dets_Cyclist" / f"{name}.txt").write_text("")
+    files = track(folder, "--mode", "batch")
+    assert {line.split()[2] for line in files["0000.txt"].splitlines()} <= {"Car"}
+
+
 def test_only_trackers_that_can_look_back_do(folder, capsys):
     message = fails(folder, capsys, "--tracker", "argoverse", "--mode", "batch")
     assert "'argoverse' cannot look back" in message
