@@ -25,6 +25,7 @@ _COMMANDS = {
     "evaluate": "Any tracker's output, by the rules of the dataset it was made on.",
     "fit-detector": "A detector profile from a dataset's labels and detections, and how well it fits.",
     "falsify": "Search a scenario for what breaks a tracker; keep the smallest that does.",
+    "tune": "A tracker's parameters by Optuna, on scenarios or on a dataset's sequences.",
     "cache": "The simulated scenes kept on disk: show, list, clear.",
 }
 """Name -> one-line help; `pmbm/cli/NAME.py` (dashes as underscores) holds `command`."""
