@@ -53,17 +53,13 @@ def command(name: str | None, schema: bool, seed: int, level: float | None, out:
 
 
 def _list() -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     from sim import load_scenario, scenario_names
 
-    table = Table("name", "scene", "sweeps", "stresses", box=None, pad_edge=False)
-    for name in scenario_names():
-        scenario = load_scenario(name)
-        table.add_row(name, _kind(scenario), _swept(scenario), scenario.stresses)
-    Console().print(table)
-    click.echo("\npmbm scenarios NAME shows one; pmbm run NAME tracks it.")
+    names = scenario_names()
+    width = max(map(len, names))
+    for name in names:
+        click.echo(f"{name:{width}}  {load_scenario(name).stresses}")
+    click.echo("\npmbm scenarios NAME shows one in full; pmbm run NAME tracks it.")
 
 
 def _describe(scenario: Scenario) -> None:
