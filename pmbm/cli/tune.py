@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -131,8 +132,9 @@ def command(
         raise InputError("tune on scenarios or on a dataset", expected="names, or --dataset NAME")
     _refuse_given(context, _OF_DATASETS if dataset_name is None else _OF_SCENARIOS)
     refuse_reserved_seed(seed)
-    if out is not None:
-        prepare_folder(out.parent)
+    # Found out before the search, not after it.
+    if out is not None and not os.access(prepare_folder(out.parent), os.W_OK):
+        raise InputError("cannot write there", file=out, field="--out")
     with _pool(jobs) as spread, threadpool_limits(limits=1):
         problem: Simulated | Logged
         if dataset_name is None:
