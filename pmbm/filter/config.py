@@ -81,9 +81,9 @@ class PMBMConfig:
     survival: float = 0.995
     survival_interval: float = 0.1
     spectral_density: float = 2.0
-    measurement_sd: float = 0.35
+    measurement_sd: float = 0.5
     detection_probability: float = 0.95
-    clutter_rate: float = 2.0
+    clutter_rate: float = 5.0
     occlusion: bool = True
     scores: Literal["ignore", "first", "everywhere"] = "everywhere"
     score_model: ScoreModel | None = None

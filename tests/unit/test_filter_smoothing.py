@@ -75,7 +75,9 @@ def test_later_frames_make_earlier_ones_better():
 
 def test_gaps_are_filled_and_tracks_reach_back():
     truth, frames = drive(1, gap=(26, 27))
-    early = PMBMConfig(report_above=0.01, initial_objects=0.0, scores="ignore")
+    early = PMBMConfig.textbook(
+        report_above=0.01, initial_objects=0.0, measurement_sd=0.3, clutter_rate=2.0
+    )
     tracker = PMBMTracker(early)
     steps = [tracker.step(one) for one in frames]
     online = [one.take(one.score > 0.5) for one in steps]

@@ -203,11 +203,11 @@ def test_bad_time_is_refused_and_leaves_the_tracker_as_it_was():
 
 
 def test_two_looks_at_one_moment():
-    tracker = PMBMTracker()
+    tracker = PMBMTracker(PMBMConfig(measurement_sd=0.3))
     first = tracker.step(frame(1.0, [[5.0, 0.0]]))
     second = tracker.step(frame(1.0, [[5.1, 0.0]]))
     assert len(second) == 1
-    assert second.covariance[0, 0, 0] < 0.09
+    assert second.covariance[0, 0, 0] < 0.3**2
     assert len(first) == 0 or second.id.tolist() == first.id.tolist()
 
 
