@@ -100,6 +100,7 @@ class Association:
     undetected : the PPP, priced.
     log_missed (H,) : log(1 - r P_D).  existence_if_missed (H,) : r of a missed track.
     detection (H,), detection_undetected (P,) : P_D of local hypotheses and of PPP components.
+    undetected_if_missed : means (P,4) and covariances (P,4,4) of PPP components after the scan.
     log_first (M,) : log e, e = sum of w P_D N(z) over gated PPP components; -inf where none is.
     log_new (M,) : log(lambda_c + e).
     """
@@ -112,6 +113,7 @@ class Association:
     existence_if_missed: FloatArray
     detection: FloatArray
     detection_undetected: FloatArray
+    undetected_if_missed: tuple[FloatArray, FloatArray]
     log_first: FloatArray
     log_new: FloatArray
     children: Children
@@ -141,9 +143,9 @@ def associate(
     log_missed = np.log(np.maximum(not_seen, math.exp(LOG_TINY)))
 
     ppp = density.undetected
-    detection_undetected = sensor.detection_probability(ppp.mean, ppp.cov)
+    detection_undetected, undetected_if_seen, if_missed = sensor.of_undetected(ppp.mean, ppp.cov)
     undetected, log_first = _first_detections(
-        ppp, ppp.log_weight + _log(detection_undetected), z, sensor, gate_threshold
+        ppp, ppp.log_weight + _log(undetected_if_seen), z, sensor, gate_threshold
     )
     log_clutter = _log(sensor.clutter)
     if scan.first is not None:
@@ -176,6 +178,7 @@ def associate(
         existence_if_missed,
         detection,
         detection_undetected,
+        if_missed,
         log_first,
         log_new,
         children,

@@ -56,6 +56,10 @@ class PMBMConfig:
     initial_objects : expected number of objects in view before the first frame, >= 0.
     birth_components : Gaussians that the births are spread over, >= 1.
     birth_speed_sd : standard deviation of a new object's velocity, per axis, m/s, > 0.
+    undetected_detail : None; or the spacing, m, > 0, of a lattice on which undetected objects are
+        kept place by place, on drivable ground where the site names it, swept out where the sensor
+        sees and preserved where other objects or occluders hide them.  In place of
+        `birth_components`, `prune_undetected` and `merge_undetected`.
 
     Reduction (Sec. 2.7)
     gate : squared Mahalanobis distance of a measurement that may be a track's, > 0.
@@ -98,6 +102,7 @@ class PMBMConfig:
     initial_objects: float = 3.0
     birth_components: int = 7
     birth_speed_sd: float = 10.0
+    undetected_detail: float | None = None
     gate: float = 20.0
     max_hypotheses: int = 200
     prune_hypothesis: float = 1e-3
@@ -147,8 +152,12 @@ class PMBMConfig:
                 expected=f"at most detection_high = {self.detection_high:g}",
                 got=self.detection_low,
             )
+        if self.undetected_detail is not None:
+            _check("undetected_detail", self.undetected_detail, float)
         for name, (low, high, open_low, open_high) in _BOUNDS.items():
             value = getattr(self, name)
+            if value is None:
+                continue
             too_low = value <= low if open_low else value < low
             too_high = value >= high if open_high else value > high
             if too_low or too_high:
@@ -210,6 +219,7 @@ _BOUNDS: dict[str, tuple[float, float, bool, bool]] = {
     "initial_objects": _NOT_NEGATIVE,
     "birth_components": _COUNT,
     "birth_speed_sd": _POSITIVE,
+    "undetected_detail": _POSITIVE,
     "gate": _POSITIVE,
     "max_hypotheses": _COUNT,
     "prune_hypothesis": (0.0, 1.0, False, True),

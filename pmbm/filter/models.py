@@ -137,6 +137,7 @@ class Sensor:
     clutter : false detections per m^2 and frame.
     view : None where everything is in view.
     shadows : None where nothing hides anything.
+    hides_undetected : whether undetected objects are hidden too, not detected ones alone.
     from_scores : None where P_D does not depend on a track's past scores.
     scaled_misses : the paper's rule for a miss (Sec. 2.6) in place of Bayes'.
     visibility : None where misses do not come in runs.
@@ -147,12 +148,33 @@ class Sensor:
     clutter: float
     view: View | None = None
     shadows: Shadows | None = None
+    hides_undetected: bool = False
     from_scores: DetectionFromScores | None = None
     scaled_misses: bool = False
     visibility: Visibility | None = None
 
+    def of_undetected(
+        self, mean: FloatArray, cov: FloatArray
+    ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
+        """P_D (N,) of undetected objects, averaged over Gaussians (N,4), (N,4,4), as misses and as
+        detections count it, and the Gaussians after a miss.
+
+        In the open, and, where the PPP has the detail for it, times the expected visible share,
+        floored in the second; then what is left of a Gaussian lies rather where it is hidden.
+        """
+        in_the_open = self.detection_probability(mean, cov)
+        if self.shadows is None or not self.hides_undetected:
+            return in_the_open, in_the_open, (mean, cov)
+        glimpse = self.shadows.undetected(mean, cov)
+        visible = glimpse.share()
+        return (
+            in_the_open * visible,
+            in_the_open * np.maximum(visible, LEAST_VISIBLE_TO_BE_SEEN),
+            glimpse.if_missed(mean, cov, in_the_open),
+        )
+
     def detection_probability(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
-        """(N,) P_D of undetected objects, averaged over Gaussians (N,4), (N,4,4)."""
+        """(N,) P_D of undetected objects in the open, averaged over Gaussians (N,4), (N,4,4)."""
         own = self.detection
         if self.visibility is not None:
             own *= self.visibility.usual_share

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from pmbm.filter.density import Density, Index, Locals, ragged
 from pmbm.filter.estimation import marginals
@@ -27,7 +28,23 @@ _FAR = 1e5
 _IGNORED_EXISTENCE = 0.05
 """Tracks that exist less probably hide nothing: most are clutter, seen once."""
 _CERTAIN = 1 - 1e-9
+_CAR_SD = 0.8
+"""m; standard deviation, along any axis, of a point drawn evenly from a car's outline."""
 _HALVES = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
+
+
+def _normal_points(count: int) -> FloatArray:
+    """Points (count,2) of equal weight that stand for a standard normal: its quantiles along both
+    axes, paired as evenly as a golden lattice does, with its mean and covariance."""
+    i = np.arange(count)
+    turn = np.mod((i + 0.5) * (np.sqrt(5) - 1) / 2, 1.0)
+    point = ndtri(np.column_stack([(i + 0.5) / count, turn]))
+    point -= point.mean(axis=0)
+    root = np.linalg.cholesky(point.T @ point / count)
+    return np.linalg.solve(root, point.T).T
+
+
+_NODES = _normal_points(24)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,6 +58,40 @@ class Rays:
     first: Index
     bearing: Index
     distance: FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Glimpse:
+    """What can be seen of N Gaussians over places of undetected objects, each taken at k points.
+
+    Of a car-sized object as many bearings are open as of its points, so the Gaussians
+    are those of a point drawn from the object: a little wider than those of its centre.
+
+    visible (N,k) : probability that nothing hides the point.
+    node (N,k,2) : the point, from the mean, m.  S (N,2,2) : covariance of the points.
+    """
+
+    visible: FloatArray
+    node: FloatArray
+    S: FloatArray
+
+    def share(self) -> FloatArray:
+        """(N,) expected visible share."""
+        return self.visible.mean(axis=1)
+
+    def if_missed(
+        self, mean: FloatArray, cov: FloatArray, in_the_open: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Means (N,4) and covariances (N,4,4) of objects that were missed, P_D (N,) in the open:
+        those of what is left when each point has lost the share that would have been seen."""
+        left = 1 - in_the_open[:, None] * self.visible
+        left /= np.maximum(left.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+        shift = np.einsum("nk,nki->ni", left, self.node)
+        apart = self.node - shift[:, None]
+        change = np.einsum("nk,nki,nkj->nij", left, apart, apart) - self.S
+        gain = np.linalg.solve(self.S, cov[:, :2, :]).transpose(0, 2, 1)
+        cov = cov + gain @ change @ gain.transpose(0, 2, 1)
+        return mean + np.einsum("nij,nj->ni", gain, shift), 0.5 * (cov + cov.transpose(0, 2, 1))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -113,6 +164,35 @@ class Shadows:
             minlength=len(local),
         )
         return np.where(count > 0, open_rays / np.maximum(count, 1), 1.0)
+
+    def undetected(self, mean: FloatArray, cov: FloatArray) -> Glimpse:
+        """What is seen of objects that have no track, for Gaussians (N,4), (N,4,4)."""
+        offset = mean[:, :2] - self.origin
+        range_ = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-9)
+        line = offset / range_[:, None]
+        # Columns: across the line of sight, along it.
+        turn = np.stack([np.stack([-line[:, 1], line[:, 0]], axis=1), line], axis=2)
+        S = turn.transpose(0, 2, 1) @ cov[:, :2, :2] @ turn
+        S[:, 0, 0] += _CAR_SD**2
+        S[:, 1, 1] += _CAR_SD**2
+        sd = np.sqrt(S[:, 0, 0])
+        slope = S[:, 0, 1] / sd
+        rest = np.sqrt(np.maximum(S[:, 1, 1] - slope**2, 0.0))
+        side = sd[:, None] * _NODES[:, 0]
+        depth = slope[:, None] * _NODES[:, 0] + rest[:, None] * _NODES[:, 1]
+        ahead = range_[:, None] + depth
+        angle = np.arctan2(line[:, 1], line[:, 0])[:, None] + np.arctan2(side, ahead)
+        visible = self._open(angle.ravel(), np.hypot(side, ahead).ravel()).reshape(side.shape)
+        node = np.stack([side, depth], axis=2) @ turn.transpose(0, 2, 1)
+        return Glimpse(visible, node, turn @ S @ turn.transpose(0, 2, 1))
+
+    def _open(self, angle: FloatArray, distance: FloatArray) -> FloatArray:
+        """(n,) probability that nothing stands nearer than `distance` at these angles."""
+        bearing = np.mod(np.floor(angle / _STEP).astype(np.intp), _BEARINGS)
+        nearer = np.searchsorted(self.key, _key(bearing, distance), side="left")
+        start = np.searchsorted(self.key, np.arange(_BEARINGS, dtype=np.float64), side="left")
+        log_open = self.log_open_before[nearer] - self.log_open_before[start[bearing]]
+        return np.exp(np.minimum(log_open, 0.0))
 
     def _by_itself(self, local: Locals, target: Rays) -> FloatArray:
         """(n,) what a target's own track would take from each of its rays: to be given back."""

@@ -22,7 +22,8 @@ _ALIKE = 1.0
 @dataclass(frozen=True, slots=True)
 class Reduced:
     """What a reduction removed: global hypotheses pruned, capped and merged, local hypotheses
-    recycled, and PPP components pruned, merged and capped."""
+    recycled, and PPP components pruned, merged and capped; where the PPP is kept in detail, the
+    expected number of objects that left its map or were negligible."""
 
     hypotheses_pruned: int = 0
     hypotheses_capped: int = 0
@@ -32,6 +33,7 @@ class Reduced:
     undetected_pruned: int = 0
     undetected_merged: int = 0
     undetected_capped: int = 0
+    undetected_dropped: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,7 @@ from pmbm.filter.occlusion import Shadows
 from pmbm.filter.prediction import predict
 from pmbm.filter.reduction import Limits, Reduced, reduce
 from pmbm.filter.scan import Scan
+from pmbm.filter.unseen import FINE, MOST, NEGLIGIBLE, Ground, settle
 from pmbm.filter.update import update
 from pmbm.score import ScoreModel
 from pmbm.types import Detections, Site, Tracks, vouched
@@ -57,6 +58,7 @@ class PMBMTracker:
         self._seconds: dict[str, float] = {}
         self._shape: Mixture | None = None
         self._shape_pose = np.zeros(3)
+        self._ground: Ground | None = None
         self._score_model = self.config.score_model or ScoreModel.trusting()
         self._from_scores = _from_scores(self.config)
 
@@ -73,7 +75,7 @@ class PMBMTracker:
         scan = self._scan(detections)
         if self.density is None:
             predicted = Density.initial(
-                self._spread(view, config.initial_objects),
+                self._first(view),
                 clustering=config.clustering,
                 local=Locals.empty(
                     config.history,
@@ -88,8 +90,9 @@ class PMBMTracker:
                 self.density,
                 self._transition(dt),
                 self._births(view, dt),
-                merge_births=config.merge_undetected > 0,
+                merge_births=config.merge_undetected > 0 and config.undetected_detail is None,
             )
+        predicted, dropped = self._settled(predicted, view)
         clock.read("predict")
         sensor = self._sensor(view, predicted)
         association = associate(
@@ -104,7 +107,8 @@ class PMBMTracker:
         clock.read("associate")
         updated = update(predicted, scan, association, sensor)
         clock.read("update")
-        self.density, self.reduced = reduce(updated, self._limits())
+        self.density, reduced = reduce(updated, self._limits())
+        self.reduced = replace(reduced, undetected_dropped=dropped)
         clock.read("reduce")
         self._time, self._seconds = detections.time, clock.seconds
         return self._report(self.density, view)
@@ -153,10 +157,43 @@ class PMBMTracker:
         survival = survival_over(dt, config.survival, config.survival_interval)
         return Transition(F, Q, survival, dt, config.visibility)
 
+    def _first(self, view: View) -> Mixture:
+        if self.config.undetected_detail is not None:
+            return self._on_ground(view, 0.0, self.config.undetected_detail)
+        return self._spread(view, self.config.initial_objects)
+
     def _births(self, view: View, dt: float) -> Mixture:
         config = self.config
         expected = births_over(dt, config.birth_rate, config.survival, config.survival_interval)
+        if config.undetected_detail is not None:
+            return self._on_ground(view, expected, config.undetected_detail)
         return self._spread(view, expected)
+
+    def _on_ground(self, view: View, expected: float, spacing: float) -> Mixture:
+        """Births, and what ground that the map comes to cover may hold from before."""
+        before = self._ground
+        self._ground = ground = Ground.of(self.site, view, spacing, before)
+        weight = expected * ground.births()
+        weight += self.config.initial_objects * ground.newly_covered(before)
+        return ground.mixture(weight, spacing, self.config.birth_speed_sd)
+
+    def _settled(self, predicted: Density, view: View) -> tuple[Density, float]:
+        """The PPP with the detail that it is to have, and the mass that this dropped."""
+        config = self.config
+        if config.undetected_detail is None or self._ground is None:
+            return predicted, 0.0
+        each = births_over(
+            config.survival_interval, config.birth_rate, config.survival, config.survival_interval
+        ) / max(1, self._ground.cells)
+        undetected, dropped = settle(
+            predicted.undetected,
+            view,
+            config.undetected_detail,
+            most=min(config.max_undetected, MOST),
+            negligible=min(config.prune_undetected, NEGLIGIBLE * each),
+            fine_above=FINE * each,
+        )
+        return predicted.with_undetected(undetected), dropped
 
     def _spread(self, view: View, expected: float) -> Mixture:
         if expected == 0:
@@ -169,7 +206,8 @@ class PMBMTracker:
 
     def _sensor(self, view: View, predicted: Density) -> Sensor:
         config = self.config
-        hides = config.occlusion and len(predicted.local) > 0
+        detailed = config.undetected_detail is not None
+        hides = config.occlusion and (detailed or len(predicted.local) > 0)
         return Sensor(
             R=config.measurement_sd**2 * np.eye(2),
             detection=config.detection_probability,
@@ -179,11 +217,16 @@ class PMBMTracker:
             visibility=config.visibility,
             scaled_misses=config.miss_rule == "scaled",
             shadows=Shadows.of(predicted, view.pose[:2], self.site.occluders) if hides else None,
+            hides_undetected=detailed,
         )
 
     def _limits(self) -> Limits:
         config = self.config
-        return Limits(**{name: getattr(config, name) for name in Limits.__slots__})
+        limits = Limits(**{name: getattr(config, name) for name in Limits.__slots__})
+        if config.undetected_detail is None:
+            return limits
+        # Undetected objects are merged and dropped where they are settled.
+        return replace(limits, prune_undetected=0.0, merge_undetected=0.0)
 
     def _report(self, density: Density, view: View) -> Tracks:
         """The tracks that probably exist and are probably in view.  One that has left the view is

@@ -47,7 +47,7 @@ def update(density: Density, scan: Scan, association: Association, sensor: Senso
         _first_detected(density, scan, association, sensor, np.flatnonzero(used[H + n :])),
     )
     return Density(
-        undetected=_still_undetected(density.undetected, association.detection_undetected),
+        undetected=_still_undetected(density.undetected, association),
         local=local,
         hypotheses=Globals(table.cluster, table.log_weight, table.start, renumber[table.member]),
         track_id=np.concatenate([density.track_id, density.detections_seen + np.arange(len(scan))]),
@@ -122,9 +122,10 @@ def normalised(log_weight: FloatArray, cluster: Index) -> FloatArray:
     return log_weight - top - np.repeat(np.log(total), count)
 
 
-def _still_undetected(ppp: Mixture, detection: FloatArray) -> Mixture:
+def _still_undetected(ppp: Mixture, association: Association) -> Mixture:
+    detection = association.detection_undetected
     with np.errstate(divide="ignore"):
-        return Mixture(ppp.log_weight + np.log1p(-detection), ppp.mean, ppp.cov)
+        return Mixture(ppp.log_weight + np.log1p(-detection), *association.undetected_if_missed)
 
 
 def _missed(local: Locals, association: Association, sensor: Sensor, rows: Index) -> Locals:
