@@ -218,11 +218,11 @@ def _show(name: str, summary: Summary, results: Sequence[TrialResult], *, to_std
 
     trials = f"{summary.trials} trial{'s' if summary.trials > 1 else ''}"
     table = Table(title=f"{name}: {trials}, mean ± half of the 95 % interval", title_justify="left")
-    table.add_column("metric")
+    table.add_column("metric", no_wrap=True)
     for tracker in summary.trackers:
-        table.add_column(tracker, justify="right")
+        table.add_column(tracker, justify="right", no_wrap=True)
     for tracker in summary.differences:
-        table.add_column(f"{tracker} - {summary.reference}", justify="right")
+        table.add_column(f"{tracker} - {summary.reference}", justify="right", no_wrap=True)
     for metric in HEADLINE:
         row = [summary.estimates[tracker].get(metric) for tracker in summary.trackers]
         row += [difference.get(metric) for difference in summary.differences.values()]
@@ -232,7 +232,11 @@ def _show(name: str, summary: Summary, results: Sequence[TrialResult], *, to_std
         for tracker in summary.trackers
     ]
     table.add_row("ms per step", *(f"{1000 * seconds:.2f}" for seconds in times))
-    Console(stderr=to_stderr).print(table)
+    console = Console(stderr=to_stderr)
+    if not console.is_terminal:
+        # A file has no width of its own; rich's guess of 80 columns would cut names short.
+        console = Console(stderr=to_stderr, width=40 + 24 * len(table.columns))
+    console.print(table)
 
 
 def _text(value: Estimate | None) -> str:
