@@ -62,6 +62,13 @@ class PMBMTracker:
         self._score_model = self.config.score_model or ScoreModel.trusting()
         self._from_scores = _from_scores(self.config)
 
+    @classmethod
+    def with_map(cls, site: Site | None = None) -> PMBMTracker:
+        """The default tracker, with undetected objects kept place by place: a map of where the
+        sensor cannot see, whose `Tracks.undetected.expected_count(polygon)` counts them anywhere.
+        """
+        return cls(PMBMConfig(undetected_detail=3.5), site)
+
     def step(self, detections: Detections, /) -> Tracks:
         """Take in one frame, empty or not, and report the objects that probably exist.
 

@@ -41,7 +41,7 @@ def draw(mixture, n, rng):
     row = rng.choice(len(weight), n, p=weight / weight.sum())
     root = np.linalg.cholesky(mixture.cov[row])
     noise = np.einsum("nij,nj->ni", root, rng.normal(size=(n, 4)))
-    return mixture.mean[row] + noise, weight.sum() / n
+    return mixture.mean[row] + noise, weight.sum() / max(n, 1)
 
 
 def hidden_share(x, y, wall=WALL, points=24):
