@@ -56,10 +56,10 @@ class PMBMConfig:
     initial_objects : expected number of objects in view before the first frame, >= 0.
     birth_components : Gaussians that the births are spread over, >= 1.
     birth_speed_sd : standard deviation of a new object's velocity, per axis, m/s, > 0.
-    undetected_detail : None; or the spacing, m, > 0, of a lattice on which undetected objects are
-        kept place by place, on drivable ground where the site names it, swept out where the sensor
-        sees and preserved where other objects or occluders hide them.  In place of
-        `birth_components`, `prune_undetected` and `merge_undetected`.
+    undetected_detail : None; or the spacing, in [1, 4] m, of a lattice on which undetected objects
+        are kept place by place, on drivable ground where the site names it, swept out where the
+        sensor sees and preserved where other objects or occluders hide them; half of the births
+        arise at the edge of the view.  In place of `birth_components` and `merge_undetected`.
 
     Reduction (Sec. 2.7)
     gate : squared Mahalanobis distance of a measurement that may be a track's, > 0.
@@ -219,7 +219,7 @@ _BOUNDS: dict[str, tuple[float, float, bool, bool]] = {
     "initial_objects": _NOT_NEGATIVE,
     "birth_components": _COUNT,
     "birth_speed_sd": _POSITIVE,
-    "undetected_detail": _POSITIVE,
+    "undetected_detail": (1.0, 4.0, False, False),
     "gate": _POSITIVE,
     "max_hypotheses": _COUNT,
     "prune_hypothesis": (0.0, 1.0, False, True),

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 from unseen_world import DT, SHADOW, SITE, draw, model, moved, seen_by
 
 FRAMES = 30
-SEEDS = 48
+SEEDS = 40
 LOOKS = (9, 19, 29)
 PLACES = {
     "shadow": SHADOW,
@@ -83,7 +83,7 @@ def detections(time, z):
 
 @pytest.mark.slow
 def test_the_expected_number_of_hidden_objects_is_calibrated(verified):
-    config = model(initial_objects=40.0, birth_rate=12.0, clutter_rate=2.0, max_hypotheses=20)
+    config = model(initial_objects=90.0, birth_rate=27.0, clutter_rate=2.0, max_hypotheses=20)
     counts = np.array([world(config, seed) for seed in range(SEEDS)])
     within = []
     for part, name in enumerate(PLACES):

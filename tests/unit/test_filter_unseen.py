@@ -206,7 +206,7 @@ def test_components_stay_bounded_without_a_map():
     assert tracker.reduced.undetected_dropped >= 0
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, "3.5", True, np.nan])
+@pytest.mark.parametrize("value", [0.0, -1.0, 0.9, 4.1, "3.5", True, np.nan])
 def test_a_spacing_that_is_none_is_refused(value):
     with pytest.raises(InputError, match="undetected_detail"):
         PMBMConfig(undetected_detail=value)
