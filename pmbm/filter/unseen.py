@@ -41,7 +41,7 @@ NEGLIGIBLE = 0.03
 FINE = 6.0
 """Cells that hold more than this many usual frames' births keep classes of velocity apart."""
 MOST = 4000
-"""Components kept."""
+"""Components kept, besides those that a frame recycles."""
 _CODE = 1 << 31
 
 
@@ -134,7 +134,10 @@ def settle(
     on_map = beyond(view, mixture.mean[:, :2]) <= _MARGIN * spacing
     kept = mixture.take(np.flatnonzero(on_map & (mixture.log_weight > _log(negligible))))
     dropped = total - np.exp(kept.log_weight).sum()
-    settled = capped(merged_by_cell(narrowed(kept), spacing, fine_above), most)
+    narrow = narrowed(kept)
+    # At the edge objects only come and go; what they do there later is of no use.
+    inner = beyond(view, narrow.mean[:, :2]) <= -_MARGIN * spacing
+    settled = capped(merged_by_cell(narrow, spacing, fine_above, inner), most)
     return settled, float(dropped)
 
 
@@ -181,9 +184,14 @@ def _split(mixture: Mixture, along: FloatArray, ratio: int) -> Mixture:
     return Mixture(log_weight.ravel(), mean.reshape(-1, 4), np.tile(cov, (len(node), 1, 1)))
 
 
-def merged_by_cell(mixture: Mixture, spacing: float, fine_above: float = 0.0) -> Mixture:
+def merged_by_cell(
+    mixture: Mixture, spacing: float, fine_above: float, may_be_fine: np.ndarray | bool = True
+) -> Mixture:
     """One component per cell, or, where a cell holds more than `fine_above` objects, per cell and
-    class of velocity, with the moments of those that it replaces."""
+    class of velocity, with the moments of those that it replaces.
+
+    may_be_fine : whether the latter holds of every component, or of each (P,).
+    """
     cell = np.floor(mixture.mean[:, :2] / spacing).astype(np.int64)
     cell = cell[:, 0] * _CODE + cell[:, 1]
     v = mixture.mean[:, 2:]
@@ -193,7 +201,7 @@ def merged_by_cell(mixture: Mixture, spacing: float, fine_above: float = 0.0) ->
     held = np.add.reduceat(np.exp(mixture.log_weight[order]), first) if len(first) else first
     row = np.empty(len(mixture), np.int64)
     row[order] = np.repeat(np.arange(len(first)), np.diff(first, append=len(order)))
-    kind = (3 * fast[:, 0] + fast[:, 1]) * (held > fine_above)[row]
+    kind = (3 * fast[:, 0] + fast[:, 1]) * ((held > fine_above)[row] & may_be_fine)
     return _merged(mixture, 9 * row + kind)
 
 
