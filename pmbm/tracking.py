@@ -27,6 +27,8 @@ TrackerFactory = Callable[..., Tracker]
 
 SHIPPED_TRACKERS = {
     "pmbm": "pmbm.filter:PMBMTracker",
+    "pmbm-textbook": "pmbm.filter:PMBMTracker.textbook",
+    "pmbm-paper": "pmbm.filter:PMBMTracker.paper",
     "argoverse": "pmbm.baselines:ArgoverseTracker",
     "waymo": "pmbm.baselines:WaymoTracker",
     "probabilistic_kf": "pmbm.baselines:ProbabilisticKFTracker",

@@ -69,6 +69,16 @@ class PMBMTracker:
         """
         return cls(PMBMConfig(undetected_detail=3.5), site)
 
+    @classmethod
+    def textbook(cls, site: Site | None = None) -> PMBMTracker:
+        """With `PMBMConfig.textbook()`: exact Bayes, and nothing beyond it."""
+        return cls(PMBMConfig.textbook(), site)
+
+    @classmethod
+    def paper(cls, site: Site | None = None) -> PMBMTracker:
+        """With `PMBMConfig.paper()`: what Pang & Radha (2021) do differently."""
+        return cls(PMBMConfig.paper(), site)
+
     def step(self, detections: Detections, /) -> Tracks:
         """Take in one frame, empty or not, and report the objects that probably exist.
 

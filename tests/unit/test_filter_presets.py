@@ -14,7 +14,8 @@ from pmbm.filter.density import Density, Mixture
 from pmbm.filter.models import DetectionFromScores, Sensor
 from pmbm.filter.scan import Scan
 from pmbm.score import ScoreModel
-from pmbm.types import Detections
+from pmbm.tracking import make_tracker, tracker_factory
+from pmbm.types import Detections, Site
 
 
 def frames(seed, score=None, count=40, raw=None):
@@ -210,3 +211,15 @@ def test_presets_take_changes_and_refuse_nonsense():
         assert next(iter(bad)) in str(caught.value)
     with pytest.raises(InputError, match="did you mean 'first'"):
         PMBMConfig(scores="fist")
+
+
+def test_presets_can_be_named_wherever_a_tracker_is():
+    site = Site(max_range=50.0)
+    for name, config in (
+        ("pmbm", PMBMConfig()),
+        ("pmbm-textbook", PMBMConfig.textbook()),
+        ("pmbm-paper", PMBMConfig.paper()),
+    ):
+        tracker = make_tracker(tracker_factory(name), site)
+        assert tracker.config == config
+        assert tracker.site is site

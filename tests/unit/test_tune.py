@@ -19,7 +19,6 @@ from pmbm.errors import InputError
 from pmbm.filter import PMBMConfig
 from pmbm.study import ConfiguredTracker, run_trials, summarise
 from pmbm.study.file import load_study
-from pmbm.tracking import SHIPPED_TRACKERS
 from pmbm.tune import (
     FIRST_HELD_BACK_SEED,
     FIRST_REPORTING_SEED,
@@ -129,7 +128,7 @@ def test_what_is_kept_for_reporting_is_refused():
     assert sum(map(len, REPORTING_SEQUENCES.values())) == 7
 
 
-@pytest.mark.parametrize("name", SHIPPED_TRACKERS)
+@pytest.mark.parametrize("name", SPACES)
 def test_a_shipped_space_holds_the_shipped_defaults(name):
     space = SPACES[name]
     present = _present(ConfiguredTracker(name), space)
