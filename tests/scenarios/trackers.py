@@ -9,7 +9,7 @@ import numpy as np
 
 from pmbm import PMBMConfig, PMBMTracker
 
-EARLY = 1.0
+EARLY = 4.0
 """Seconds in which even a tracker that never births finds the objects that are there."""
 FORGETS_AFTER = 1.5
 """Seconds without a detection nearby."""
@@ -27,7 +27,7 @@ def sound(site):
 
 
 class NeverBirths:
-    """Follows what is there in the first second, and nothing that comes later."""
+    """Follows what is there in the first seconds, and nothing that comes later."""
 
     def __init__(self, site):
         self.inner = sound(site)
