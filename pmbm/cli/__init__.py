@@ -97,6 +97,7 @@ def main(arguments: list[str] | None = None) -> Any:
     if "" not in sys.path and os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
     try:
+        _refuse_shadows()
         code = group.main(args=arguments, prog_name="pmbm", standalone_mode=False)
     except InputError as error:
         _complain(str(error))
@@ -116,6 +117,26 @@ def main(arguments: list[str] | None = None) -> Any:
         _complain(f"{what}: {error.filename}" if error.filename else what)
         sys.exit(2)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _refuse_shadows() -> None:
+    """Raise InputError where a user's folder stands before a package that comes with this one."""
+    from importlib.util import find_spec
+
+    import pmbm
+    from pmbm.errors import InputError
+
+    home = os.path.dirname(os.path.dirname(os.path.abspath(pmbm.__file__)))
+    for name in ("sim", "reports"):
+        spec = find_spec(name)
+        folder = os.path.dirname(os.path.abspath(spec.origin)) if spec and spec.origin else None
+        if folder is None or os.path.dirname(folder) != home:
+            raise InputError(
+                f"something else named '{name}' hides the package of that name",
+                expected=os.path.join(home, name),
+                got=folder or "a folder without __init__.py",
+                hint="rename it, or take its parent off PYTHONPATH",
+            )
 
 
 def _complain(text: str) -> None:

@@ -1,5 +1,6 @@
 """`pmbm run`, as a user calls it."""
 
+import importlib.util
 import json
 
 import pytest
@@ -111,3 +112,18 @@ def test_a_place_that_cannot_be_written_is_refused_before_any_trial(short, capsy
 
 def test_a_replay_must_be_of_a_trial_that_is_run(short, capsys):
     assert "--replay" in refused(capsys, "run", short, "--trials", 2, "--replay", 2)
+
+
+@pytest.mark.parametrize("name", ["sim", "reports"])
+def test_a_folder_that_hides_a_package_is_named(tmp_path, capsys, monkeypatch, name):
+    # An editable install answers imports before the path does, so the path alone shows nothing.
+    found = importlib.util.find_spec
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "__init__.py").touch()
+    other = importlib.util.spec_from_file_location(name, tmp_path / name / "__init__.py")
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda asked: other if asked == name else found(asked)
+    )
+    message = refused(capsys, "scenarios")
+    assert f"something else named '{name}' hides" in message
+    assert str(tmp_path) in message
