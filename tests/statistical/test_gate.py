@@ -80,11 +80,17 @@ def test_pairing_finds_a_loss_with_a_quarter_of_the_trials():
 
 
 @pytest.mark.slow
-def test_pairing_finds_a_loss_with_a_quarter_of_the_trials_over_2000_studies():
+def test_pairing_finds_a_loss_with_a_quarter_of_the_trials_over_2000_studies(verified):
     count, studies, needed = power_against_unpaired(
         World(margin=1 / 100, pair_sd=0.03), LONG, seed=4
     )
-    print(f"gate_power: {count} of {studies} within {needed / 4:.0f} trials")
+    verified(
+        "gate_power",
+        f"a loss of 2 margins found within {needed / 4:.0f} trials, a quarter of the unpaired design's",
+        count / studies,
+        ">= 0.9",
+        count >= 0.9 * studies,
+    )
     at_least(0.9, count, studies)
     assert count >= 0.9 * studies
 
