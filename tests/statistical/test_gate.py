@@ -86,7 +86,7 @@ def test_pairing_finds_a_loss_with_a_quarter_of_the_trials_over_2000_studies(ver
     )
     verified(
         "gate_power",
-        f"a loss of 2 margins found within {needed / 4:.0f} trials, a quarter of the unpaired design's",
+        f"a loss of 2 margins found within {needed / 4:.0f} trials, a quarter of the unpaired's",
         count / studies,
         ">= 0.9",
         count >= 0.9 * studies,
