@@ -54,6 +54,7 @@ class PMBMTracker:
         self.site = site if site is not None else Site()
         self.density: Density | None = None
         self.reduced = Reduced()
+        self._before: tuple[Density, Sensor] | None = None
         self._time = math.nan
         self._seconds: dict[str, float] = {}
         self._shape: Mixture | None = None
@@ -128,17 +129,27 @@ class PMBMTracker:
         self.reduced = replace(reduced, undetected_dropped=dropped)
         clock.read("reduce")
         self._time, self._seconds = detections.time, clock.seconds
+        self._before = predicted, sensor
         return self._report(self.density, view)
 
     def inspect(self) -> Inspection:
         """Every track's hypotheses with weights and, where `config.history` says to keep them,
-        association histories; what the last step's reductions removed; how long its parts took.
+        association histories; how well the sensor could see it; what the last step's reductions
+        removed; how long its parts took.
 
         Raises InputError before the first step.
         """
-        if self.density is None:
+        if self.density is None or self._before is None:
             raise InputError("nothing to inspect before the first step")
-        return inspect(self.density, self._time, self.reduced, self._seconds)
+        return inspect(
+            self.density,
+            *self._before,
+            self.site.occluders,
+            time=self._time,
+            report_above=self.config.report_above,
+            reduced=self.reduced,
+            seconds=self._seconds,
+        )
 
     def _elapsed(self, time: float) -> float:
         if time < self._time:
