@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import importlib
 import io
 import itertools
 import json
@@ -108,15 +107,45 @@ def clear(chosen: Sequence[Entry]) -> int:
 
 @functools.cache
 def bits_key() -> str:
-    """Machines of equal keys compute equal bits: the platform, and what numpy's kernels use."""
-    features = importlib.import_module("numpy._core._multiarray_umath").__cpu_features__
-    wide = [name for name in ("AVX2", "AVX512F", "AVX512_SKX", "ASIMD") if features.get(name)]
+    """Machines of equal keys compute equal bits: the platform, the versions of what computes, and
+    a digest of what the functions that traffic and detectors are made of give here.
+
+    Names of processor features do not do: a linear algebra library chooses its kernels by the
+    processor's model, so that two machines with the same features differ in the last bits.
+    """
     made_by = provenance()
     versions = made_by["versions"]
     python = ".".join(platform.python_version_tuple()[:2])
     parts = [made_by["platform"], f"python{python}"]
     parts += [f"{name}{versions[name]}" for name in ("numpy", "highway-env") if name in versions]
-    return "-".join(parts + wide)
+    return "-".join([*parts, _arithmetic()])
+
+
+def _arithmetic() -> str:
+    """Digest of the last bits of elementary functions, inner products and special functions."""
+    from scipy import special
+
+    x = np.linspace(-30.0, 30.0, 4001)
+    share = np.linspace(0.001, 0.999, 999)
+    digest = hashlib.sha256()
+    for function in (np.sin, np.cos, np.tan, np.arctan, np.exp, special.expit, special.ndtr):
+        digest.update(function(x).tobytes())
+        digest.update(np.array([function(one) for one in x[::40]]).tobytes())
+    for function in (np.arcsin, np.log, np.log1p, np.sqrt, special.ndtri, special.logit):
+        digest.update(function(share).tobytes())
+    for one, other in ((np.hypot, x[::-1]), (np.arctan2, x[::-1]), (np.add, 0.1)):
+        digest.update(one(x, other).tobytes())
+    digest.update(np.power(share, 1.7).tobytes())
+    digest.update(special.betaincinv(2.5, 1.5, share).tobytes())
+    for length in (2, 3, 4, 7, 16, 100):
+        rows = np.sin(x[: 40 * length]).reshape(40, length)
+        digest.update(
+            np.array([np.dot(a, b) for a, b in zip(rows, rows[::-1], strict=True)]).tobytes()
+        )
+        digest.update(np.linalg.norm(rows, axis=1).tobytes())
+        digest.update(np.array([np.linalg.norm(row) for row in rows]).tobytes())
+        digest.update((rows @ rows.T).tobytes())
+    return digest.hexdigest()[:12]
 
 
 def _key(content: str, seed: int, trial: int) -> str:

@@ -2,6 +2,10 @@
 
 import concurrent.futures
 import multiprocessing
+import os
+import platform
+import subprocess
+import sys
 import time
 
 import click.testing
@@ -71,6 +75,26 @@ def test_everything_that_matters_is_in_the_key(folder, monkeypatch):
     monkeypatch.setattr(cache, "_code_hash", lambda: "another version")
     again(source, 0)
     assert len(list(folder.iterdir())) == 6
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="kernels are named for x86-64")
+def test_machines_whose_last_bits_differ_have_different_keys():
+    """The linear algebra library picks its kernels by the processor's model."""
+    product = "import numpy as np; v = np.sin(np.arange(100.0)); print(np.dot(v, v[::-1]).hex());"
+    said = {
+        kernel: subprocess.run(
+            [sys.executable, "-c", product + "from sim.cache import bits_key; print(bits_key())"],
+            env={**os.environ, "OPENBLAS_CORETYPE": kernel},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        for kernel in ("Prescott", "Haswell")
+    }
+    (bits, key), (other_bits, other_key) = said.values()
+    if bits == other_bits:
+        pytest.skip("numpy is built on a library without such a choice")
+    assert key != other_key
 
 
 def test_corrupt_entries_are_made_again(folder):
