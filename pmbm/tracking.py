@@ -6,6 +6,7 @@ import importlib
 import inspect
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -36,12 +37,31 @@ SHIPPED_TRACKERS = {
 """Names that commands and study files may use; any other tracker is named MODULE:FACTORY."""
 
 
+SHIPPED_BOUNDS = {"clairvoyant": "pmbm.baselines:clairvoyant"}
+"""Names of what bounds every tracker, for wherever whole recordings are tracked."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What no tracker is expected to beat: its `tracks` are made from a whole recording, truth and
+    origins included, which `run` keeps from trackers.  As a factory it refuses: there is nothing to
+    step."""
+
+    tracks: Callable[..., TrackSequence]
+
+    def __call__(self) -> Tracker:
+        raise InputError(
+            "a bound reads the truth: it runs in studies, `pmbm run` and `pmbm compare` only",
+            expected="a tracker",
+        )
+
+
 def tracker_factory(name: str) -> TrackerFactory:
-    """The factory behind a shipped name or behind MODULE:FACTORY.
+    """The factory behind a shipped name or behind MODULE:FACTORY; of a bound's name, the bound.
 
     Raises InputError, with the nearest valid name, where there is none.
     """
-    home = SHIPPED_TRACKERS.get(name, name)
+    home = SHIPPED_BOUNDS.get(name) or SHIPPED_TRACKERS.get(name, name)
     module_name, _, attribute = home.partition(":")
     if not attribute:
         raise InputError(
@@ -57,7 +77,7 @@ def tracker_factory(name: str) -> TrackerFactory:
         raise InputError(f"tracker '{name}' cannot be imported: {error}") from error
     if not callable(factory):
         raise InputError(f"tracker '{name}'", expected="a factory", got=type(factory).__name__)
-    return factory
+    return Bound(factory) if name in SHIPPED_BOUNDS else factory
 
 
 def make_tracker(factory: TrackerFactory, site: Site) -> Tracker:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pmbm.metrics import evaluate
-from pmbm.study import Source, StepTime, TrialResult, summarise
-from pmbm.tracking import TrackerFactory, make_tracker, run, tracker_factory
+from pmbm.study import Source, StepTime, TrialResult, follow, summarise
+from pmbm.tracking import TrackerFactory
 from reports.render import run_page
 from reports.values import Replay, Section
 
@@ -26,8 +26,7 @@ def trial_replay(
     recording = source.record(seed, trial)
     tracks, scores, series, times = {}, {}, {}, {}
     for name, tracker in trackers.items():
-        factory = tracker_factory(tracker) if isinstance(tracker, str) else tracker
-        tracks[name] = run(make_tracker(factory, recording.site), recording)
+        tracks[name] = follow(tracker, recording)
         found = evaluate(recording, tracks[name])
         scores[name] = found.scalars()
         series[name] = {key: v.series for key, v in found.items() if v.series is not None}

@@ -19,6 +19,7 @@ _COMMANDS = {
     "study": "A Monte Carlo study that can be resumed; trials over processes or a cluster.",
     "digest": "One line that is equal where the results of two studies are equal.",
     "report": "A study as one HTML file: verdicts, curves, worst trials to replay.",
+    "versus": "One tracker of a study against each of the others: better or worse, and where.",
     "gate": "Did the tracker get worse? Exit code 0: no, 1: yes, 3: undecided.",
     "track": "A tracker over a real dataset, output in that dataset's format.",
     "metrics": "Which metric answers which question.",

@@ -1,6 +1,6 @@
 """Monte Carlo studies: trials, their statistics, and runs that survive anything."""
 
-from pmbm.study.configured import ConfiguredTracker
+from pmbm.study.configured import ConfiguredTracker, follow
 from pmbm.study.parallel import run_trials
 from pmbm.study.results import StudyResults, export, load_results
 from pmbm.study.runner import Progress, run_study
@@ -22,6 +22,7 @@ __all__ = [
     "TrialResult",
     "estimate",
     "export",
+    "follow",
     "load_results",
     "read_store",
     "run_study",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import typing
 from collections.abc import Mapping
@@ -10,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from pmbm.errors import InputError, nearest_hint
-from pmbm.tracking import Tracker, TrackerFactory, make_tracker, tracker_factory
-from pmbm.types import Site
+from pmbm.tracking import Bound, Tracker, TrackerFactory, make_tracker, run, tracker_factory
+from pmbm.types import Recording, Site, TrackSequence
 
 
 @dataclass(frozen=True)
@@ -33,9 +34,10 @@ class ConfiguredTracker:
 
     def bound(self) -> TrackerFactory:
         """The factory with its parameters filled in; checks them."""
-        factory = tracker_factory(self.factory)
+        named = tracker_factory(self.factory)
         if not self.parameters:
-            return factory
+            return named
+        factory: Any = named.tracks if isinstance(named, Bound) else named
         parameters = dict(self.parameters)
         signature = inspect.signature(factory)
         accepted = [name for name in signature.parameters if name != "site"]
@@ -48,6 +50,8 @@ class ConfiguredTracker:
             anything = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
             self._check(parameters, list(parameters) if anything else accepted)
             keywords = parameters
+        if isinstance(named, Bound):
+            return Bound(functools.partial(factory, **keywords))
         if "site" in signature.parameters:
             return lambda site: factory(site=site, **keywords)
         return lambda: factory(**keywords)
@@ -60,6 +64,19 @@ class ConfiguredTracker:
                     field=name,
                     hint=nearest_hint(name, valid, "parameter"),
                 )
+
+
+def follow(tracker: TrackerFactory | str, recording: Recording) -> TrackSequence:
+    """The tracks of a fresh tracker over a recording, or those of a bound.
+
+    Raises InputError as `run` does.
+    """
+    factory: Any = tracker_factory(tracker) if isinstance(tracker, str) else tracker
+    if isinstance(factory, ConfiguredTracker):
+        factory = factory.bound()
+    if isinstance(factory, Bound):
+        return factory.tracks(recording)
+    return run(make_tracker(factory, recording.site), recording)
 
 
 def _built(kind: Any, values: Mapping[str, Any], path: str) -> Any:

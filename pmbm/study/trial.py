@@ -10,7 +10,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from pmbm.metrics import evaluate
-from pmbm.tracking import TrackerFactory, make_tracker, run, tracker_factory
+from pmbm.study.configured import follow
+from pmbm.tracking import TrackerFactory
 from pmbm.types import FloatArray, Recording, TrackSequence
 
 
@@ -100,8 +101,7 @@ def score_tracker(
     metrics: Sequence[str] | Metrics | None = None,
 ) -> tuple[dict[str, float | None], StepTime]:
     """The scores of a fresh tracker over a recording, and what its steps cost."""
-    factory = tracker_factory(tracker) if isinstance(tracker, str) else tracker
-    tracks = run(make_tracker(factory, recording.site), recording)
+    tracks = follow(tracker, recording)
     if callable(metrics):
         given = metrics(recording, tracks)
     else:
