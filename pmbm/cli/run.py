@@ -59,6 +59,12 @@ HEADLINE = (
 )
 @click.option("--page", help="The page's name, without .html.  [default: the scenario's name]")
 @click.option("--replay", "replay_trial", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option(
+    "--explain",
+    type=click.IntRange(min=0),
+    metavar="TRACK_ID",
+    help="Tell this track's life in the replayed trial, as the first tracker saw it.",
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
 def command(
     scenarios: tuple[str, ...],
@@ -70,6 +76,7 @@ def command(
     out: Path,
     page: str | None,
     replay_trial: int,
+    explain: int | None,
     jobs: int,
 ) -> None:
     """Run trackers over trials of a scenario: a table, and a page to look at.
@@ -79,6 +86,7 @@ def command(
       pmbm run truck_occlusion
       pmbm run crossing --trials 20 --tracker pmbm --tracker argoverse --json -
       pmbm run my_scene.toml --tracker my_package.tracking:MyTracker
+      pmbm run truck_occlusion --explain 9
     """
     from pmbm.errors import InputError
     from pmbm.study import summarise
@@ -100,6 +108,15 @@ def command(
     target = _writable(out / f"{page or sources[0].name}.html")
     json_target = None if json_file in (None, "-") else _writable(Path(str(json_file)))
 
+    stories = []
+    if explain is not None:
+        from pmbm.cli.story import story_of
+
+        name = trackers[0]
+        stories = [
+            story_of(source, name, factories[name], seed, replay_trial, explain)
+            for source in sources
+        ]
     figures, sections = [], []
     for source in sources:
         results = _run(source, factories, seed, trials, jobs, quiet=json_file == "-")
@@ -112,6 +129,8 @@ def command(
     title = sources[0].name if len(sources) == 1 else (page or "run")
     target.write_text(run_page(sections, title=title, command=repeat), encoding="utf-8")
     click.echo(f"{target}", err=True)
+    for story in stories:
+        click.echo(story, err=json_file == "-")
     if json_file is not None:
         text = json.dumps(figures[0] if len(figures) == 1 else figures, indent=1, allow_nan=False)
         if json_target is None:

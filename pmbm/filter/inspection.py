@@ -89,7 +89,7 @@ class Inspection:
         company = int((self.cluster == self.cluster[track]).sum()) - 1
         lines = [
             f"Track {track_id} at t = {self.time:g} s exists with probability "
-            f"{self.existence[track]:.3f}; it depends on {company} other tracks."
+            f"{self.existence[track]:.3f}; its cluster holds {company} other tracks."
         ]
         rows = np.flatnonzero(self.hypothesis_track == track)
         for row in rows[np.argsort(-self.probability[rows], kind="stable")].tolist():

@@ -114,6 +114,20 @@ def test_a_replay_must_be_of_a_trial_that_is_run(short, capsys):
     assert "--replay" in refused(capsys, "run", short, "--trials", 2, "--replay", 2)
 
 
+def test_a_track_is_explained_in_plain_words(short, capsys, tmp_path):
+    run = ("run", short, "--seed", 3, "--out", tmp_path)
+    message = refused(capsys, *run, "--explain", 99999)
+    assert "no such track" in message
+    known = message.split("reported were ")[1].split(",")[0].split(";")[0]
+    assert call(*run, "--explain", known, "--tracker", "pmbm") == 0
+    told = capsys.readouterr().out.splitlines()
+    told = told[told.index("pmbm, short, trial 0 of seed 3") :]
+    assert told[1] == f"Track {known}"
+    assert "born from detection" in told[2]
+    assert "cannot be asked" in refused(capsys, *run, "--explain", 0, "--tracker", "argoverse")
+    assert not list(tmp_path.glob("*.json"))
+
+
 @pytest.mark.parametrize("name", ["sim", "reports"])
 def test_a_folder_that_hides_a_package_is_named(tmp_path, capsys, monkeypatch, name):
     # An editable install answers imports before the path does, so the path alone shows nothing.

@@ -1,0 +1,50 @@
+"""What `pmbm run --explain` prints: one track's life in a trial."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from pmbm.errors import InputError
+
+if TYPE_CHECKING:
+    from pmbm.study import Source
+    from pmbm.tracking import TrackerFactory
+
+_HISTORY = 10
+"""Steps of association history that the story ends with."""
+
+
+def story_of(
+    source: Source, tracker: str, factory: TrackerFactory, seed: int, trial: int, track_id: int
+) -> str:
+    """The life of the tracker's track in this trial of the source.
+
+    Raises InputError where the tracker cannot be asked, or never had the track.
+    """
+    from pmbm.filter import PMBMTracker
+    from pmbm.filter.story import tell
+    from pmbm.tracking import make_tracker, run
+
+    recording = source.record(seed, trial)
+    made = make_tracker(factory, recording.site)
+    if not isinstance(made, PMBMTracker):
+        raise InputError(
+            f"tracker '{tracker}' cannot be asked why",
+            field="--explain",
+            expected="a PMBMTracker as the first tracker",
+            got=type(made).__name__,
+        )
+    config = replace(made.config, history=max(_HISTORY, made.config.history))
+    sequence = run(PMBMTracker(config, recording.site), recording, record=True)
+    # The first delivery of a frame is the one that was taken in.
+    deliveries = zip(recording.frame.tolist(), recording.detections, strict=True)
+    first = dict(reversed(list(deliveries)))
+    story = tell(
+        track_id,
+        sequence.inspections or (),
+        sequence.steps,
+        [first[frame] for frame in sequence.frame.tolist()],
+        recycle_below=config.recycle_below,
+    )
+    return f"{tracker}, {source.name}, trial {trial} of seed {seed}\n{story}"
