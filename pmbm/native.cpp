@@ -9,6 +9,7 @@
 
 #include "assignment/k_best.hpp"
 #include "filter/gate.hpp"
+#include "filter/join.hpp"
 #include "filter/tables.hpp"
 
 namespace nb = nanobind;
@@ -184,6 +185,28 @@ nb::tuple extended(Input<std::int64_t> cluster, Input<double> log_weight,
         cluster_of.data(), static_cast<std::int64_t>(cluster_of.size()), locals));
 }
 
+// Returns the table's columns and the cluster of each measurement.
+nb::tuple joined(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
+                 Input<std::int64_t> member, std::int64_t locals, Input<std::int64_t> pair_row,
+                 Input<std::int64_t> pair_measurement, std::int64_t measurements, std::int64_t cap,
+                 double largest) {
+    pmbm::Joined made;
+    {
+        nb::gil_scoped_release released;
+        made = pmbm::joined(view(cluster, log_weight, start, member), locals, pair_row.data(),
+                            pair_measurement.data(), pair_row.size(), measurements, cap, largest);
+    }
+    return nb::make_tuple(hand_over(std::move(made.table)),
+                          hand_over(std::move(made.of_measurement)));
+}
+
+Output<std::int64_t> row_limits(Input<std::int64_t> cluster, Input<double> log_weight,
+                                Input<std::int64_t> start, Input<std::int64_t> member,
+                                std::int64_t cap, double largest) {
+    return hand_over(
+        pmbm::row_limits(view(cluster, log_weight, start, member), cap, largest));
+}
+
 nb::tuple prune(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
                 Input<std::int64_t> member, double log_threshold, Input<std::int64_t> cap) {
     std::int64_t likely = 0;
@@ -249,6 +272,8 @@ NB_MODULE(_native, m) {
     m.def("fuse", &fuse);
     m.def("best_children", &best_children);
     m.def("extended", &extended);
+    m.def("joined", &joined);
+    m.def("row_limits", &row_limits);
     m.def("prune", &prune);
     m.def("split", &split);
     m.def("merge_equal", &merge_equal);

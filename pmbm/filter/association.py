@@ -13,7 +13,7 @@ import numpy as np
 
 from pmbm import compiled
 from pmbm.assignment import k_best_choices
-from pmbm.filter.clusters import components, join, row_limit
+from pmbm.filter.clusters import joined, row_limit
 from pmbm.filter.density import Density, Globals, Index, Mixture, ragged, starts, summed
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
@@ -158,16 +158,13 @@ def associate(
     log_new = np.maximum(np.logaddexp(log_first, log_clutter), LOG_TINY)
 
     if clustering:
-        cluster_of = np.empty(len(local), np.intp)
-        cluster_of[table.member] = np.repeat(table.cluster, np.diff(table.start))
-        number, joined, cluster = components(
-            table.clusters, len(z), cluster_of[known.row], known.measurement
+        parents, cluster = joined(
+            table, len(local), known.row, known.measurement, len(z), max_hypotheses
         )
-        parents = join(table, joined, number, max_hypotheses)
+        allowed = row_limit(parents, max_hypotheses)
     else:
         parents, cluster = table, np.zeros(len(z), np.intp)
-
-    allowed = row_limit(parents, max_hypotheses)[parents.cluster] if clustering else max_hypotheses
+        allowed = np.full(parents.clusters, max_hypotheses)
     children = _children(parents, cluster, known, log_missed, log_new, allowed, margin)
     return Association(
         parents,
@@ -230,17 +227,18 @@ def _children(
     known: Pairs,
     log_missed: FloatArray,
     log_new: FloatArray,
-    allowed: Index | int,
+    allowed: Index,
     margin: float,
 ) -> Children:
-    """The best children of every parent.
+    """The best children of every parent; one of weight w has at most ceil(`allowed` w), of its
+    cluster's (C,).
 
     The log weight of a child is that of its parent with all tracks missed and all measurements
     new, plus, for every track that takes a measurement, what taking it gains over that.
     """
+    each = allowed[parents.cluster].astype(np.float64)
     if compiled.native is not None:
         pairs = known.row, known.measurement, known.log_weight
-        each = np.broadcast_to(allowed, len(parents)).astype(np.float64)
         return Children(
             *compiled.native.best_children(
                 *parents.columns(), *pairs, log_missed, log_new, cluster, each, margin
@@ -271,7 +269,7 @@ def _children(
         -gain[pair],
         first_row=starts(np.bincount(parent[new_row], minlength=len(parents))),
         first_column=parents.start,
-        ks=np.ceil(allowed * np.exp(parents.log_weight) - 1e-9).clip(1).astype(np.intp),
+        ks=np.ceil(each * np.exp(parents.log_weight) - 1e-9).clip(1).astype(np.intp),
         margin=margin,
     )
     return Children(

@@ -19,6 +19,33 @@ _WORTH_FACTORING = 32
 """Members in a cluster's table, above which a split may save more than it costs."""
 
 
+def joined(
+    table: Globals,
+    locals_count: int,
+    pair_row: Index,
+    pair_measurement: Index,
+    measurements: int,
+    cap: int,
+) -> tuple[Globals, Index]:
+    """The hypotheses with the clusters joined that gated pairs of a local hypothesis and a
+    measurement tie together, at most `cap` rows each, and the cluster of each measurement (M,).
+
+    A measurement in the gate of none has a cluster of its own, of one empty hypothesis.
+    """
+    if compiled.native is not None:
+        pairs = pair_row, pair_measurement, measurements
+        columns, of_measurement = compiled.native.joined(
+            *table.columns(), locals_count, *pairs, cap, LARGEST_TABLE
+        )
+        return Globals(*columns), of_measurement
+    cluster_of = np.empty(locals_count, np.intp)
+    cluster_of[table.member] = np.repeat(table.cluster, np.diff(table.start))
+    number, component, of_measurement = components(
+        table.clusters, measurements, cluster_of[pair_row], pair_measurement
+    )
+    return join(table, component, number, cap), of_measurement
+
+
 def components(
     clusters: int, measurements: int, pair_cluster: Index, pair_measurement: Index
 ) -> tuple[int, Index, Index]:
@@ -122,7 +149,7 @@ def _product_rows(
     size, first_row = size[order], _first_row(table)[order]
     begin = np.searchsorted(owner, np.arange(number))
     factors = np.diff(begin, append=len(owner))
-    limit = np.clip(LARGEST_TABLE / np.maximum(np.add.reduceat(breadth, begin), 1.0), 1, cap)
+    limit = np.clip(LARGEST_TABLE / np.maximum(summed(breadth, owner, number), 1.0), 1, cap)
 
     # A product's rows are counted like the digits of a clock: one wheel a factor.
     stride = np.ones(len(owner), np.intp)
@@ -248,6 +275,8 @@ def merge_equal(table: Globals) -> Globals:
 def row_limit(table: Globals, cap: int) -> Index:
     """(C,) hypotheses that each cluster may have: `cap`, or fewer where that many would hold more
     than `LARGEST_TABLE` members."""
+    if compiled.native is not None:
+        return compiled.native.row_limits(*table.columns(), cap, LARGEST_TABLE)
     length = np.diff(table.start)
     if length.max(initial=0) * cap <= LARGEST_TABLE:
         return np.full(table.clusters, cap)

@@ -2,6 +2,7 @@
 // test_kernel_sanitized.py with the address and undefined-behaviour sanitizers.
 #include "assignment/k_best.hpp"
 #include "filter/gate.hpp"
+#include "filter/join.hpp"
 #include "filter/tables.hpp"
 
 #include <cmath>
@@ -152,6 +153,45 @@ void check_table(const pmbm::Table& t, std::int64_t locals, const pmbm::Floats* 
     }
 }
 
+// Measurements tie clusters together at random: members stay, no table grows beyond its limit, and
+// where nothing is cut every local hypothesis keeps its probability.
+void fuzz_joins(const Scene& scene, const pmbm::Ints& row, const pmbm::Ints& own,
+                std::int64_t measurements) {
+    const auto locals = scene.locals();
+    pmbm::Ints measurement;
+    for (const auto m : own) {
+        measurement.push_back(chance() < 0.2 ? whole(0, static_cast<int>(measurements) - 1) : m);
+    }
+    const bool roomy = chance() < 0.5;
+    const double largest = roomy ? 1e12 : whole(1, 60);
+    const std::int64_t cap = roomy ? 1000000 : whole(1, 30);
+    const auto joined = pmbm::joined(view(scene.table), locals, row.data(), measurement.data(),
+                                     row.size(), measurements, cap, largest);
+    const auto& table = joined.table;
+    std::int64_t clusters = 0;
+    view(table).each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
+        require(cluster == clusters++, "joined clusters are not numbered through");
+        require(roomy || last - first <= std::max<std::int64_t>(cap, 9), "too many rows");
+    });
+    for (const auto cluster : joined.of_measurement) {
+        require(cluster >= 0 && cluster < clusters, "a measurement without a cluster");
+    }
+    for (std::size_t i = 0; i < row.size(); ++i) {
+        const auto of_measurement = joined.of_measurement[measurement[i]];
+        for (std::size_t g = 0; g < table.cluster.size(); ++g) {
+            for (auto e = table.start[g]; e < table.start[g + 1]; ++e) {
+                require(table.member[e] != row[i] || table.cluster[g] == of_measurement,
+                        "a pair of different clusters");
+            }
+        }
+    }
+    require(pmbm::row_limits(view(table), cap, largest).size() ==
+                static_cast<std::size_t>(clusters), "a cluster without a limit");
+    if (!roomy) return;
+    const auto probability = pmbm::probability(view(scene.table), locals);
+    check_table(table, locals, &probability);
+}
+
 void fuzz_tables() {
     Scene scene;
     const auto locals = scene.locals();
@@ -171,6 +211,7 @@ void fuzz_tables() {
             weight.push_back(-8 * chance());
         }
     }
+    fuzz_joins(scene, row, measurement, static_cast<std::int64_t>(cluster_of.size()));
     allowed.assign(scene.table.cluster.size(), whole(1, 60));
     const pmbm::PairsView known{row.data(), measurement.data(), weight.data(),
                                 static_cast<std::int64_t>(row.size())};

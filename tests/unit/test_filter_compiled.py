@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmbm import Detections, PMBMConfig, PMBMTracker, Site, compiled
-from pmbm.filter.clusters import factor, merge_equal, split
+from pmbm.filter.clusters import factor, joined, merge_equal, row_limit, split
 from pmbm.filter.density import Globals, starts
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
@@ -159,6 +159,30 @@ def test_tables_come_out_the_same(monkeypatch, name, seed):
     for field in ("cluster", "start", "member"):
         assert getattr(fast, field).tolist() == getattr(plain, field).tolist()
     np.testing.assert_allclose(fast.log_weight, plain.log_weight, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("cap", "largest"), [(10_000, 10**9), (7, 10**9), (200, 60)])
+@pytest.mark.parametrize("ties", [0, 1, 3, 40])
+def test_clusters_are_joined_to_the_bit(monkeypatch, cap, largest, ties):
+    monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", largest)
+    joins = 0
+    for seed in range(5):
+        table, track = random_table(seed)
+        table = merge_equal(_pruned(table, 0.0, np.full(6, 5))[0])
+        random = np.random.default_rng([seed, ties])
+        row = np.sort(random.choice(np.unique(table.member), ties))
+        measurement = random.integers(0, 9, ties)
+
+        def work(table=table, track=track, row=row, measurement=measurement):
+            parents, cluster = joined(table, len(track), row, measurement, 9, cap)
+            return (*parents.columns(), cluster, row_limit(parents, cap))
+
+        fast, plain = on_both(monkeypatch, work)
+        for one, other in zip(fast, plain, strict=True):
+            assert one.tolist() == other.tolist()
+        apart = table.clusters + 9 - len(np.unique(measurement))
+        joins += int(fast[0][-1]) + 1 < apart
+    assert joins == 5 or ties < 40
 
 
 def test_factoring_had_something_to_do():
