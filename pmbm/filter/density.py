@@ -21,28 +21,97 @@ BEFORE = -2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Origin:
+    """Whose weight the components of a PPP were, before their Bernoullis were recycled.
+
+    It says nothing about where objects are and how many: a label, kept so that an object that is
+    seen again may have its old id.
+
+    track (P,) : id of the track that most of a component's recycled weight comes from, ABSENT where
+        none does.  share (P,) : of its weight that does, in [0, 1].
+    """
+
+    track: NDArray[np.int64]
+    share: FloatArray
+
+    def take(self, rows: Any) -> Origin:
+        return Origin(self.track[rows], self.share[rows])
+
+    @staticmethod
+    def of(track: NDArray[np.int64]) -> Origin:
+        """Components that are recycled weight and nothing else."""
+        return Origin(track, np.ones(len(track)))
+
+    @staticmethod
+    def joined(parts: list[tuple[Origin | None, int]]) -> Origin | None:
+        """Origins of components one on another, and how many there are of each; None where all
+        have none."""
+        if all(origin is None for origin, _ in parts):
+            return None
+        each = [
+            Origin(np.full(n, ABSENT, np.int64), np.zeros(n)) if origin is None else origin
+            for origin, n in parts
+        ]
+        return Origin(
+            np.concatenate([one.track for one in each]), np.concatenate([one.share for one in each])
+        )
+
+    def merged(self, order: Index, first: Index, weight: FloatArray) -> Origin | None:
+        """Of groups of components: runs of `order` (P,) that begin at `first` (N,), where the
+        components weigh `weight` (P,), in that order.
+
+        A group is of the origin that most of its weight is of; what others had is forgotten.
+        """
+        track, own = self.track[order], weight * self.share[order]
+        known = np.flatnonzero((track != ABSENT) & (own > 0))
+        if not len(known):
+            return None
+        group = np.repeat(np.arange(len(first)), np.diff(first, append=len(order)))
+        known = known[np.lexsort((track[known], group[known]))]
+        begin = np.flatnonzero(
+            (np.diff(group[known], prepend=-1) != 0) | (np.diff(track[known], prepend=ABSENT) != 0)
+        )
+        mass, head = np.add.reduceat(own[known], begin), known[begin]
+        # The heaviest of each group comes last, and so is what stays written.
+        heaviest = np.lexsort((mass, group[head]))
+        result = Origin(np.full(len(first), ABSENT, np.int64), np.zeros(len(first)))
+        result.track[group[head[heaviest]]] = track[head[heaviest]]
+        result.share[group[head[heaviest]]] = mass[heaviest]
+        result.share[:] /= np.add.reduceat(weight, first)
+        return result
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Mixture:
     """`pmbm.types.GaussianMixture` without its checks, for use between the steps of the filter.
 
     log_weight (P,), mean (P,4), cov (P,4,4).
+    origin : whose weight it was before it was recycled; None where none was.
     """
 
     log_weight: FloatArray
     mean: FloatArray
     cov: FloatArray
+    origin: Origin | None = None
 
     def __len__(self) -> int:
         return len(self.log_weight)
 
     def take(self, rows: Any) -> Mixture:
-        return Mixture(self.log_weight[rows], self.mean[rows], self.cov[rows])
+        return Mixture(
+            self.log_weight[rows],
+            self.mean[rows],
+            self.cov[rows],
+            None if self.origin is None else self.origin.take(rows),
+        )
 
     @staticmethod
-    def joined(a: Mixture, b: Mixture) -> Mixture:
+    def joined(*parts: Mixture) -> Mixture:
         return Mixture(
-            np.concatenate([a.log_weight, b.log_weight]),
-            np.concatenate([a.mean, b.mean]),
-            np.concatenate([a.cov, b.cov]),
+            np.concatenate([part.log_weight for part in parts]),
+            np.concatenate([part.mean for part in parts]),
+            np.concatenate([part.cov for part in parts]),
+            Origin.joined([(part.origin, len(part)) for part in parts]),
         )
 
     @staticmethod
@@ -192,7 +261,8 @@ class Density:
     hypotheses : which Bernoullis hold together, with weights, cluster by cluster.  Clusters are
         independent: the mixture over the whole scene is the product of theirs.
     track_id (T,) : int64; a track's id is the running number, over the whole run, of the detection
-        that started it, so it names (time, measurement) and is never used again.
+        that started it, so it names (time, measurement).  No other object ever has it; an object
+        that was given up and is seen again may resume it (`pmbm.filter.resumption`).
     detections_seen : how many detections came before; the id of the next one.
     undetected_settled : components of the PPP when it was last merged.
     """

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmbm import compiled
-from pmbm.filter.density import Density, Mixture
+from pmbm.filter.density import Density, Mixture, Origin
 from pmbm.filter.models import Transition
 from pmbm.types import FloatArray
 
@@ -25,7 +25,8 @@ def predict(
     with np.errstate(divide="ignore"):
         log_survival = np.log(transition.survival)
     ppp, local = density.undetected, density.local
-    survivors = Mixture(ppp.log_weight + log_survival, *_moved(ppp.mean, ppp.cov, transition))
+    moved = _moved(ppp.mean, ppp.cov, transition)
+    survivors = Mixture(ppp.log_weight + log_survival, *moved, ppp.origin)
     mean, cov = _moved(local.mean, local.cov, transition)
     return replace(
         density,
@@ -53,7 +54,16 @@ def _merged(birth: Mixture, survivors: Mixture) -> Mixture:
     log_weight[:n] = np.logaddexp(log_weight[:n], birth.log_weight)
     share = np.exp(birth.log_weight - log_weight[:n])
     cov[:n] += share[:, None, None] * (birth.cov - cov[:n])
-    return Mixture(log_weight, survivors.mean, cov)
+    return Mixture(log_weight, survivors.mean, cov, _diluted(survivors.origin, share))
+
+
+def _diluted(origin: Origin | None, share: FloatArray) -> Origin | None:
+    """The first rows have taken in weight that was nobody's: this share (n,) of what they hold."""
+    if origin is None:
+        return None
+    kept = origin.share.copy()
+    kept[: len(share)] *= 1 - share
+    return Origin(origin.track, kept)
 
 
 def _seen(seen: FloatArray | None, transition: Transition) -> FloatArray | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pmbm import compiled
 from pmbm.filter.clusters import factor, merge_equal, row_limit, split
-from pmbm.filter.density import Density, Globals, Index, Mixture, starts, summed
+from pmbm.filter.density import Density, Globals, Index, Mixture, Origin, starts, summed
 from pmbm.filter.gating import near
 from pmbm.filter.gaussian import moments
 from pmbm.filter.update import normalised
@@ -156,7 +156,7 @@ def _recycle(density: Density, limits: Limits) -> tuple[Density, int, int, Mixtu
     """Take Bernoullis that hardly exist out of every global hypothesis and into the PPP.
 
     Each becomes a component of weight r times the weight of the hypotheses that it was part of, so
-    the expected number of objects stays the same.
+    the expected number of objects stays the same; the component remembers whose it was.
     """
     local, table = density.local, density.hypotheses
     faint = local.existence < limits.recycle_below
@@ -176,7 +176,8 @@ def _recycle(density: Density, limits: Limits) -> tuple[Density, int, int, Mixtu
     if limits.recycle:
         with np.errstate(divide="ignore"):
             log_weight = np.log(probability[rows] * local.existence[rows])
-        returned = Mixture(log_weight, local.mean[rows], local.cov[rows])
+        origin = Origin.of(density.track_id[local.track[rows]])
+        returned = Mixture(log_weight, local.mean[rows], local.cov[rows], origin)
     return replace(density, hypotheses=emptied), len(rows), capped, returned
 
 
@@ -234,7 +235,8 @@ def merge_mixture(mixture: Mixture, threshold: float) -> Mixture:
     mean, cov = moments(
         weight / np.repeat(total, count), mixture.mean[order], mixture.cov[order], first
     )
-    return Mixture(top + np.log(total), mean, cov)
+    origin = mixture.origin.merged(order, first, weight) if mixture.origin is not None else None
+    return Mixture(top + np.log(total), mean, cov, origin)
 
 
 def _groups(mixture: Mixture, threshold: float) -> Index:

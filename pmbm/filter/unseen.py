@@ -11,7 +11,7 @@ comes to cover holds as many objects as ground did before the first frame.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -179,9 +179,11 @@ def _split(mixture: Mixture, along: FloatArray, ratio: int) -> Mixture:
         weight /= weight.sum()
         node *= math.sqrt((1 - left) / (weight @ node**2))
     cov = symmetric(mixture.cov - (1 - left) * along[:, :, None] * along[:, None, :])
+    mixture = replace(mixture, cov=cov)
     mean = mixture.mean[None] + node[:, None, None] * along
     log_weight = mixture.log_weight + np.log(weight)[:, None]
-    return Mixture(log_weight.ravel(), mean.reshape(-1, 4), np.tile(cov, (len(node), 1, 1)))
+    parts = mixture.take(np.tile(np.arange(len(mixture)), len(node)))
+    return replace(parts, log_weight=log_weight.ravel(), mean=mean.reshape(-1, 4))
 
 
 def merged_by_cell(
@@ -231,7 +233,8 @@ def _merged(mixture: Mixture, key: Index) -> Mixture:
     mean, cov = moments(
         weight / np.repeat(total, count), mixture.mean[order], mixture.cov[order], first
     )
-    return Mixture(top + np.log(total), mean, symmetric(cov))
+    origin = mixture.origin.merged(order, first, weight) if mixture.origin is not None else None
+    return Mixture(top + np.log(total), mean, symmetric(cov), origin)
 
 
 def _runs(key: Index) -> Index:
@@ -280,13 +283,7 @@ def _drivable(
 
 
 def _joined(parts: list[Mixture]) -> Mixture:
-    if not parts:
-        return Mixture.empty()
-    return Mixture(
-        np.concatenate([part.log_weight for part in parts]),
-        np.concatenate([part.mean for part in parts]),
-        np.concatenate([part.cov for part in parts]),
-    )
+    return Mixture.joined(*parts) if parts else Mixture.empty()
 
 
 def _log(value: float) -> float:

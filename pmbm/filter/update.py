@@ -28,6 +28,7 @@ from pmbm.filter.density import (
 )
 from pmbm.filter.gaussian import corrected, corrected_cov, corrected_mean, gain, moments
 from pmbm.filter.models import Sensor
+from pmbm.filter.resumption import ids_of_new
 from pmbm.filter.scan import Scan
 from pmbm.types import FloatArray
 
@@ -41,16 +42,17 @@ def update(density: Density, scan: Scan, association: Association, sensor: Senso
     used = np.zeros(H + n + len(scan), bool)
     used[table.member] = True
     renumber = np.cumsum(used) - 1
+    new = np.flatnonzero(used[H + n :])
     local = Locals.joined(
         _missed(density.local, association, sensor, np.flatnonzero(used[:H])),
         _detected(density.local, scan, association, sensor, np.flatnonzero(used[H : H + n])),
-        _first_detected(density, scan, association, sensor, np.flatnonzero(used[H + n :])),
+        _first_detected(density, scan, association, sensor, new),
     )
     return Density(
         undetected=_still_undetected(density.undetected, association),
         local=local,
         hypotheses=Globals(table.cluster, table.log_weight, table.start, renumber[table.member]),
-        track_id=np.concatenate([density.track_id, density.detections_seen + np.arange(len(scan))]),
+        track_id=np.concatenate([density.track_id, ids_of_new(density, scan, association, new)]),
         detections_seen=density.detections_seen + len(scan),
         undetected_settled=density.undetected_settled,
     )
@@ -125,7 +127,8 @@ def normalised(log_weight: FloatArray, cluster: Index) -> FloatArray:
 def _still_undetected(ppp: Mixture, association: Association) -> Mixture:
     detection = association.detection_undetected
     with np.errstate(divide="ignore"):
-        return Mixture(ppp.log_weight + np.log1p(-detection), *association.undetected_if_missed)
+        log_weight = ppp.log_weight + np.log1p(-detection)
+    return Mixture(log_weight, *association.undetected_if_missed, ppp.origin)
 
 
 def _missed(local: Locals, association: Association, sensor: Sensor, rows: Index) -> Locals:
