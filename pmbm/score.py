@@ -17,11 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmbm.door import Door
 from pmbm.errors import InputError, nearest_hint
-from pmbm.types import Detections
+from pmbm.types import Detections, Label
 
 FloatArray = NDArray[np.float64]
 Scale = Literal["score", "raw_score"]
 
+_LABELS = len(Label)
 _SURE = 1e-6
 """Probabilities are kept this far from 0 and 1, so that no single score decides for ever."""
 _SCALES = ("score", "raw_score")
@@ -199,6 +200,62 @@ class ScoreModel:
             return ScoreModel(**values)
         except InputError as error:
             raise error.located(file=path) from None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Calibration:
+    """Log-odds that a detection is what its label says: linear in its raw score and in its range,
+    label by label, and less where a detection of another label claims the same place.
+
+    offset, slope, per_metre (7,) : log-odds = offset + slope raw_score + per_metre range, by label;
+        the range, in m from the sensor, counts between `near` and `far`.
+    apart : m; things of two labels are at least this far from each other, centre from centre.
+
+    Two detections nearer than that cannot both be what they say.  Of such a pair, with odds a and b
+    taken alone, the first is true with odds a / (1 + b).
+    """
+
+    offset: FloatArray
+    slope: FloatArray
+    per_metre: FloatArray
+    near: float = 10.0
+    far: float = 60.0
+    apart: float = 0.8
+
+    def __post_init__(self) -> None:
+        door = Door(self, "calibration")
+        for name in ("offset", "slope", "per_metre"):
+            door.floats(name, (_LABELS,))
+        door.number("near", at_least=0.0)
+        door.number("far", above=self.near)
+        door.number("apart", at_least=0.0)
+
+    def log_odds(self, detections: Detections) -> FloatArray:
+        """(N,) log-odds of every detection, of whatever label.
+
+        Raises InputError where the detections have no raw scores.
+        """
+        alone = self._alone(detections)
+        if self.apart == 0 or len(alone) < 2:
+            return alone
+        x, y = detections.position[:, 0], detections.position[:, 1]
+        near = np.hypot(x[:, None] - x, y[:, None] - y) < self.apart
+        rivals = near & (detections.label[:, None] != detections.label)
+        return alone - np.log1p(rivals @ np.exp(alone))
+
+    def _alone(self, detections: Detections) -> FloatArray:
+        if detections.raw_score is None:
+            raise InputError(
+                "the calibration reads raw scores, and the detections have none", field="raw_score"
+            )
+        x, y, _ = detections.sensor_pose
+        away = np.hypot(detections.position[:, 0] - x, detections.position[:, 1] - y)
+        own = detections.label
+        return (
+            self.offset[own]
+            + self.slope[own] * detections.raw_score
+            + self.per_metre[own] * np.clip(away, self.near, self.far)
+        )
 
 
 def _logistic(x: FloatArray) -> FloatArray:

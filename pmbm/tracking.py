@@ -106,17 +106,25 @@ class ByLabel:
         self._ids: dict[tuple[Label, int], int] = {}
 
     def step(self, detections: Detections, /) -> Tracks:
-        """Every tracker sees its own label's detections; all that they report, joined.
+        """Every tracker sees its own label's detections, or, where it has an attribute
+        `takes_all_labels` that says so, all; all that they report, joined.
 
         Raises InputError where time runs backwards.
         """
         reports = []
         for label, tracker in self.trackers.items():
-            tracks = tracker.step(detections.take(detections.label == label))
+            tracks = tracker.step(seen_by(tracker, label, detections))
             reports.append((label, tracks))
         names = [(label, i) for label, tracks in reports for i in tracks.id.tolist()]
         ids = [self._ids.setdefault(name, len(self._ids)) for name in names]
         return joined_tracks(detections.time, [tracks for _, tracks in reports], ids)
+
+
+def seen_by(tracker: Tracker, label: Label, detections: Detections) -> Detections:
+    """The detections that the tracker of a label is to be given."""
+    if getattr(tracker, "takes_all_labels", False):
+        return detections
+    return detections.take(detections.label == label)
 
 
 def joined_tracks(time: float, parts: Sequence[Tracks], ids: Sequence[int]) -> Tracks:

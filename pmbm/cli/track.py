@@ -118,7 +118,7 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
 
     from pmbm.errors import InputError
     from pmbm.filter import PMBMTracker, smooth
-    from pmbm.tracking import joined_tracks, run
+    from pmbm.tracking import joined_tracks, run, seen_by
 
     parts = []
     for label, configured in trackers.items():
@@ -130,7 +130,7 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
             )  # fmt: skip
         config = tracker.config
         early = dataclasses.replace(config, report_above=config.report_above / 10)
-        own = tuple(frame.take(frame.label == label) for frame in recording.detections)
+        own = tuple(seen_by(tracker, label, frame) for frame in recording.detections)
         alone = dataclasses.replace(recording, detections=own, origin=None)
         found = run(PMBMTracker(early, recording.site), alone)
         parts.append(smooth(found.steps, early, config.report_above))

@@ -17,8 +17,8 @@ from __future__ import annotations
 
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.inspection import Inspection
-from pmbm.filter.marks import Kinds, Visibility
+from pmbm.filter.marks import Kinds, Levels, Visibility
 from pmbm.filter.smoothing import smooth
 from pmbm.filter.tracker import PMBMTracker
 
-__all__ = ["Inspection", "Kinds", "PMBMConfig", "PMBMTracker", "Visibility", "smooth"]
+__all__ = ["Inspection", "Kinds", "Levels", "PMBMConfig", "PMBMTracker", "Visibility", "smooth"]

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pmbm.errors import InputError, nearest_hint
-from pmbm.filter.marks import Kinds, Visibility
+from pmbm.filter.marks import Kinds, Levels, Visibility
 from pmbm.score import ScoreModel
 
 _RUNS_OF_MISSES = Visibility(unseen=0.1, stay_seen=0.97, stay_unseen=0.8)
@@ -48,6 +48,8 @@ class PMBMConfig:
     Marks (what real detections demand; neutral ones give the plain filter)
     kinds : what labels and scores say of what an object is, a persistent source of clutter among
         them; None, an object is what its last detection says.  Takes the place of `scores`.
+    levels : what scores say of one label's sources, as a lasting trait of each; in place of
+        `kinds`.
     visibility : a chain of being seen, with `detection_probability`, and not seen; None, misses
         are independent.
 
@@ -97,6 +99,7 @@ class PMBMConfig:
     newest_score: float = 0.3
     miss_rule: Literal["bayes", "scaled"] = "bayes"
     kinds: Kinds | None = None
+    levels: Levels | None = None
     visibility: Visibility | None = _RUNS_OF_MISSES
     birth_rate: float = 0.5
     initial_objects: float = 3.0
@@ -144,6 +147,12 @@ class PMBMConfig:
                 field="scores",
                 expected="another rule beside kinds, which say what scores mean everywhere",
                 got=self.scores,
+            )
+        if self.levels is not None and (self.kinds is not None or self.scores == "first"):
+            raise InputError(
+                "PMBM configuration",
+                field="levels",
+                expected="neither kinds nor scores = 'first' beside levels, which say it all",
             )
         if self.detection_low > self.detection_high:
             raise InputError(
@@ -195,7 +204,7 @@ _PAPER: dict[str, Any] = {
     "detection_from_scores": "falling",
     "miss_rule": "scaled",
 }
-_OBJECTS = {"score_model": ScoreModel, "kinds": Kinds, "visibility": Visibility}
+_OBJECTS = {"score_model": ScoreModel, "kinds": Kinds, "levels": Levels, "visibility": Visibility}
 _CHOICES = {
     "scores": ("ignore", "first", "everywhere"),
     "detection_from_scores": ("off", "rising", "falling"),

@@ -12,7 +12,6 @@ import numpy as np
 
 from pmbm import compiled
 from pmbm.filter.density import Density, Index, summed
-from pmbm.filter.marks import GHOST
 from pmbm.types import FloatArray
 
 
@@ -26,8 +25,11 @@ class Marginals:
     best: Index
 
 
-def marginals(density: Density) -> Marginals:
-    """Existence of every track summed over the global hypotheses, and its likeliest state."""
+def marginals(density: Density, object_share: FloatArray | None = None) -> Marginals:
+    """Existence of every track summed over the global hypotheses, and its likeliest state.
+
+    object_share (K,) : P(object) of a source of each kind; None, all are objects.
+    """
     local, tracks = density.local, len(density.track_id)
     mass = density.hypothesis_probability() * local.existence
     existence = summed(mass, local.track, tracks)
@@ -37,9 +39,9 @@ def marginals(density: Density) -> Marginals:
         order = np.lexsort((-mass, local.track))
         best = order[np.flatnonzero(np.diff(local.track[order], prepend=-1))]
     existence = existence.clip(max=1.0)
-    if local.kind is None or local.kind.shape[1] <= GHOST:
+    if local.kind is None or object_share is None:
         return Marginals(existence, existence, best)
-    real = summed(mass * local.kind[:, :GHOST].sum(axis=1), local.track, tracks)
+    real = summed(mass * (local.kind @ object_share), local.track, tracks)
     return Marginals(existence, real.clip(max=existence), best)
 
 

@@ -118,6 +118,7 @@ def inspect(
     *,
     time: float,
     report_above: float,
+    object_share: FloatArray | None,
     reduced: Reduced,
     seconds: Mapping[str, float],
 ) -> Inspection:
@@ -125,7 +126,7 @@ def inspect(
     local, table = density.local, density.hypotheses
     cluster = np.zeros(len(density.track_id), np.intp)
     cluster[local.track[table.member]] = np.repeat(table.cluster, np.diff(table.start))
-    marginal = marginals(density)
+    marginal = marginals(density, object_share)
     best = local.take(marginal.best)
     view = sensor.view
     return Inspection(

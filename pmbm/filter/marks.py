@@ -19,7 +19,7 @@ import numpy as np
 
 from pmbm.door import Door
 from pmbm.errors import InputError
-from pmbm.score import ScoreModel
+from pmbm.score import Calibration, ScoreModel
 from pmbm.types import Detections, FloatArray, Label
 
 _LABELS = len(Label)
@@ -96,6 +96,11 @@ class Kinds:
             ghost_score=ghost_score if ghost_score is not None else ScoreModel.uninformative(),
         )
 
+    @property
+    def object(self) -> FloatArray:
+        """(14,) whether each kind is an object: labels are, their ghosts are not."""
+        return np.repeat([1.0, 0.0], _LABELS)
+
     def evidence(self, detections: Detections) -> FloatArray:
         """(M,14) p(score, label | kind) / p(score, label | clutter) of every detection."""
         with np.errstate(divide="ignore"):
@@ -108,6 +113,56 @@ class Kinds:
             self.ghost_score.log_likelihood_ratio(self.ghost_score.read(detections))
         )
         return np.ascontiguousarray((of_label * of_score).T)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Levels:
+    """How sure the detector is of a source of detections, as a trait that lasts.
+
+    The scores of one object scatter about a level of its own, and so do those of a pole: frame
+    after frame they say the same again.  The tracker learns a source's level, and the level says
+    how probably the source is an object; a long life makes the level certain, not the object.
+
+    label : of the sources; detections of other labels count as rivals alone.
+    calibration : log-odds of detections, whose scale the levels are on.
+    level (L,) : log-odds, rising.  scatter : sd of a detection's log-odds about its source's level.
+    birth (L,) : share of new sources that have each level; adds up to one.
+    object (L,) : P(object | level), in [0, 1].
+    clutter (L,) : shares of levels in detections that come from no lasting source; adds up to one.
+    """
+
+    label: int
+    calibration: Calibration
+    level: FloatArray
+    scatter: float
+    birth: FloatArray
+    object: FloatArray
+    clutter: FloatArray
+
+    def __post_init__(self) -> None:
+        door = Door(self, "levels")
+        levels = np.size(self.level)
+        door.number("scatter", above=0.0)
+        door.floats("level", (max(levels, 1),))
+        for name in ("birth", "object", "clutter"):
+            door.unit_interval(name, levels)
+        if (np.diff(self.level) <= 0).any():
+            raise InputError("levels", field="level", expected="strictly rising", got=self.level)
+        for name in ("birth", "clutter"):
+            values = getattr(self, name)
+            if abs(values.sum() - 1) > 1e-6:
+                raise InputError(
+                    "levels", field=name, expected="shares that add up to one", got=values
+                )
+        if self.label not in list(Label):
+            raise InputError("levels", field="label", expected="a label", got=self.label)
+
+    def evidence(self, log_odds: FloatArray) -> FloatArray:
+        """(M,L) p(log-odds | level) / p(log-odds | clutter) of detections (M,)."""
+        apart = (log_odds[:, None] - self.level) / self.scatter
+        nearest = np.abs(apart).min(axis=1, initial=np.inf, keepdims=True)
+        height = np.exp(0.5 * (nearest**2 - apart**2))
+        return height / np.maximum(height @ self.clutter, 1e-6)[:, None]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -62,6 +62,9 @@ class PMBMTracker:
         self._ground: Ground | None = None
         self._score_model = self.config.score_model or ScoreModel.trusting()
         self._from_scores = _from_scores(self.config)
+        self._marks = self.config.levels or self.config.kinds
+        self.takes_all_labels = self.config.levels is not None
+        """Whether `step` wants the detections of all labels though it follows those of one."""
 
     @classmethod
     def with_map(cls, site: Site | None = None) -> PMBMTracker:
@@ -98,7 +101,7 @@ class PMBMTracker:
                 local=Locals.empty(
                     config.history,
                     confidence=self._from_scores is not None,
-                    kinds=len(config.kinds.birth) if config.kinds else 0,
+                    kinds=0 if self._marks is None else len(self._marks.birth),
                     seen=config.visibility is not None,
                 ),
             )
@@ -147,6 +150,7 @@ class PMBMTracker:
             self.site.occluders,
             time=self._time,
             report_above=self.config.report_above,
+            object_share=None if self._marks is None else self._marks.object,
             reduced=self.reduced,
             seconds=self._seconds,
         )
@@ -161,12 +165,18 @@ class PMBMTracker:
     def _scan(self, detections: Detections) -> Scan:
         """The measurements, with what their scores say under this configuration."""
         config = self.config
+        if config.levels is not None:
+            log_odds = config.levels.calibration.log_odds(detections)
+            own = detections.label == config.levels.label
+            evidence = config.levels.evidence(log_odds[own])
+            detections = detections.take(own)
         scan = Scan.of(detections)
         if config.kinds is not None:
-            scan = replace(
-                scan, evidence=config.kinds.evidence(detections), kinds=config.kinds.birth
-            )
-        speaking = config.scores if config.kinds is None else "ignore"
+            evidence = config.kinds.evidence(detections)
+        speaking = config.scores
+        if self._marks is not None:
+            speaking = "ignore"
+            scan = replace(scan, evidence=evidence, kinds=self._marks.birth)
         if speaking == "ignore" and self._from_scores is None:
             return scan
         given = self._score_model.read(detections)
@@ -259,7 +269,8 @@ class PMBMTracker:
     def _report(self, density: Density, view: View) -> Tracks:
         """The tracks that probably exist and are probably in view.  One that has left the view is
         kept in mind, and reported again where it comes back."""
-        marginal = marginals(density)
+        marks = self._marks
+        marginal = marginals(density, None if marks is None else marks.object)
         reported = np.flatnonzero(marginal.object > self.config.report_above)
         local = density.local.take(marginal.best[reported])
         inside = np.flatnonzero(view.share_inside(local.mean, local.cov) > 0.5)
@@ -273,7 +284,7 @@ class PMBMTracker:
             yaw=local.box[:, 4].copy(),
             velocity=local.mean[:, 2:].copy(),
             score=marginal.object[reported],
-            label=_labels(local),
+            label=local.label if self.config.kinds is None else _labels(local),
             covariance=local.cov,
             undetected=density.undetected.public(),
         )
@@ -293,10 +304,8 @@ class _Clock:
 
 
 def _labels(local: Locals) -> NDArray[np.int8]:
-    """The likeliest label of each row: by all of its detections where kinds are told apart, else
-    that of the last one."""
-    if local.kind is None or local.kind.shape[1] <= GHOST:
-        return local.label
+    """The likeliest label of each row, by all of its detections."""
+    assert local.kind is not None
     return local.kind[:, :GHOST].argmax(axis=1).astype(np.int8)
 
 
