@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -23,9 +23,15 @@ from sim.knobs import (
     Curve,
     NamedLabel,
     NumberOrCurve,
+    Shares,
     Size,
+    SizeCorrelation,
     Spread,
+    by_label,
     check_bounds,
+    check_correlation,
+    drawn_label,
+    without_proxies,
 )
 from sim.scene import Scene
 from sim.streams import Purpose, Streams, beta, correlated, normal
@@ -36,6 +42,8 @@ _ALIGNED_SPREAD = 0.2
 _BLOCK = 16
 _CELL = 40.0
 _CELLS_A_SIDE = 2**20
+_COMPANY = 18
+_COMPANY_SCORES = [9, 17]
 
 
 _ONE = Curve.constant(1.0)
@@ -53,22 +61,31 @@ class FalseBoxes:
     score_mean : mean of the confidence, a Beta variable.
     score_concentration : sum of both shapes of the Beta; larger is narrower.
     size_spread : relative standard deviations of length, width and height about the typical ones.
-    size_correlation : correlation of these three errors.
+    size_correlation : correlation of these three errors: one number for every two, or three.
     aligned_share : of the boxes, the share that lies along or against the sensor's axis, as what
         stands by a road does, give or take 0.2 rad; the others head anywhere.
     typical_size : length, width, height, m; where absent, the label's usual one.
+    companion_probability : of a further false box of the label near one.
+    companion_spread : standard deviation of where that is about the first, x and y, m.
+    echo : probability of a further false box of another label at the same place, for each such
+        label.  Companions and echoes come and go with the box that they belong to.
     """
 
     range_profile: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ONE
     score_mean: Annotated[float, SHARE] = 0.3
     score_concentration: Annotated[float, POSITIVE] = 6.0
     size_spread: Spread = (0.1, 0.1, 0.1)
-    size_correlation: Annotated[float, Bound(0.0, 0.999)] = 0.0
+    size_correlation: SizeCorrelation = 0.0
     aligned_share: Annotated[float, SHARE] = 0.0
     typical_size: Size | None = None
+    companion_probability: Annotated[float, SHARE] = 0.0
+    companion_spread: Annotated[float, NOT_NEGATIVE] = 2.0
+    echo: Shares = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "echo", by_label("echo", self.echo))
         check_bounds(self)
+        check_correlation("size_correlation", self.size_correlation)
         if not any(density > 0 for density in self.range_profile.value):
             raise InputError(
                 "impossible range_profile",
@@ -77,12 +94,15 @@ class FalseBoxes:
                 got=list(self.range_profile.value),
             )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return without_proxies(self)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ClutterModel(FalseBoxes):
     """How many false boxes there are, where and of what label.
 
-    rate : mean number a frame, over the whole field of view.
+    rate : mean number a frame, over the whole field of view, companions and echoes not counted.
     persistent_share : of the mean number, the share that belongs to fixed places in the world;
         the rest appears anywhere, anew in every frame.
     persistent_detection : probability that a place in view gives a box in a frame.
@@ -112,14 +132,15 @@ class ClutterModel(FalseBoxes):
                 got=list(self.labels.values()),
             )
 
-    def __reduce__(self) -> tuple[object, ...]:
-        # Mapping proxies do not pickle.
-        values = {**self.__dict__, "labels": dict(self.labels), "label": dict(self.label)}
-        return _make_clutter_model, (values,)
-
     def of(self, label: Label) -> FalseBoxes:
         """What false boxes of that label are like."""
         return self.label.get(label, self)
+
+    @property
+    def has_company(self) -> bool:
+        """Whether some false boxes bring others."""
+        looks = [self.of(label) for label in self.labels]
+        return any(look.companion_probability > 0 or look.echo for look in looks)
 
 
 FalseBoxes.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]
@@ -144,6 +165,7 @@ def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
     reached = np.zeros(len(scene))
     frames, marks = [np.zeros(0, np.int64)], [np.zeros((0, 11))]
     block = 0
+    company = [np.zeros((0, _COMPANY))]
     while len(scene) and reached.min() < rate:
         draws = streams.uniforms(Purpose.CLUTTER, len(scene), 11 * _BLOCK, block)
         draws = draws.reshape(len(scene), _BLOCK, 11)
@@ -151,6 +173,9 @@ def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
         frame, mark = np.nonzero(level < rate)
         frames.append(frame)
         marks.append(draws[frame, mark])
+        if model.has_company:
+            of_block = streams.uniforms(Purpose.COMPANION, len(scene), _COMPANY * _BLOCK, block)
+            company.append(of_block.reshape(len(scene), _BLOCK, _COMPANY)[frame, mark])
         reached = level[:, -1]
         block += 1
     frame = np.concatenate(frames)
@@ -163,7 +188,8 @@ def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
         distance[rows] = _range_quantile(model.of(kind).range_profile, scene.site, along[rows])
     bearing = pose[:, 2] + scene.site.fov_centre + scene.site.fov_half_angle * (2 * around - 1)
     centre = pose[:, :2] + distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-    return _false_boxes(model, frame, centre, pose[:, 2], label, np.stack(look, axis=1), score)
+    boxes = _false_boxes(model, frame, centre, pose[:, 2], label, np.stack(look, axis=1), score)
+    return _with_company(model, boxes, pose[:, 2], np.concatenate(company))
 
 
 def _persistent(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
@@ -210,16 +236,58 @@ def _boxes_of_place(
     error = normal(np.stack(noise, axis=1)[frame])
     # What a place looks like, it looks like from wherever it is met first.
     axis = scene.sensor_pose[frame[:1], 2]
+    heading = np.broadcast_to(axis, len(frame)) if len(frame) else axis
     boxes = _false_boxes(
         model,
         frame,
         centre + model.persistent_noise * error[:, :2],
-        np.broadcast_to(axis, len(frame)) if len(frame) else axis,
+        heading,
         np.broadcast_to(label, len(frame)),
         np.broadcast_to(look, (len(frame), len(look))),
         score[frame],
     )
-    return replace(boxes, yaw=wrap_angle(boxes.yaw + 0.1 * error[:, 2]))
+    boxes = replace(boxes, yaw=wrap_angle(boxes.yaw + 0.1 * error[:, 2]))
+    if not model.has_company:
+        return boxes
+    draws = streams.uniforms(Purpose.COMPANION, len(scene), _COMPANY, key)
+    lasting = np.tile(draws[0], (len(frame), 1))
+    lasting[:, _COMPANY_SCORES] = draws[frame][:, _COMPANY_SCORES]
+    return _with_company(model, boxes, heading, lasting)
+
+
+def _with_company(model: ClutterModel, boxes: Boxes, axis: FloatArray, draws: FloatArray) -> Boxes:
+    """Boxes with their companions and echoes; `draws` (R,18) are uniforms: whether there is a
+    companion, where (two), its look and score (seven), which echo, its look and score (seven)."""
+    if not model.has_company:
+        return boxes
+    parts = [boxes]
+    for value in np.unique(boxes.label).tolist():
+        look = model.of(Label(value))
+        joined = (boxes.label == value) & (draws[:, 0] < look.companion_probability)
+        aside = look.companion_spread * normal(draws[joined, 1:3])
+        parts.append(
+            _false_boxes(
+                model,
+                boxes.frame[joined],
+                boxes.position[joined, :2] + aside,
+                axis[joined],
+                boxes.label[joined],
+                draws[joined, 3:9],
+                draws[joined, 9],
+            )
+        )
+        other = drawn_label(look.echo, draws[:, 10])
+        rows = (boxes.label == value) & (other >= 0)
+        parts.append(look_alike(model, boxes.take(rows), other[rows], draws[rows, 11:]))
+    return concatenate(parts)
+
+
+def look_alike(model: ClutterModel, boxes: Boxes, label: IntArray, draws: FloatArray) -> Boxes:
+    """False boxes of those labels (R,) where `boxes` are and heading as they do; `draws` (R,7) are
+    uniforms of look and score."""
+    centre = boxes.position[:, :2]
+    echo = _false_boxes(model, boxes.frame, centre, boxes.yaw, label, draws[:, :6], draws[:, 6])
+    return replace(echo, yaw=boxes.yaw)
 
 
 def _cells(scene: Scene) -> Iterator[tuple[int, int]]:
@@ -280,7 +348,7 @@ def _false_boxes(
     """Boxes at centres (R,2); `axis` (R,) is where the sensor heads, `draws` (R,6) are uniforms of
     the heading (two) and the size (four)."""
     size, score, yaw = np.zeros((len(frame), 3)), np.zeros(len(frame)), np.zeros(len(frame))
-    for kind in model.labels:
+    for kind in map(Label, np.unique(label).tolist()):
         rows, look = label == kind, model.of(kind)
         typical = np.array(look.typical_size or TYPICAL_SIZE[kind])
         error = correlated(normal(draws[rows, 2:]), look.size_correlation)
@@ -301,7 +369,3 @@ def _false_boxes(
         score=score,
         label=label,
     )
-
-
-def _make_clutter_model(values: dict[str, object]) -> ClutterModel:
-    return ClutterModel(**values)  # type: ignore[arg-type]

@@ -22,7 +22,15 @@ from pmbm.types import Detections, FloatArray, IntArray, Recording
 from sim.boxes import Boxes, Targets, concatenate, targets
 from sim.calibration import reliability
 from sim.clutter import ClutterModel, FalseBoxes, clutter
-from sim.knobs import NO_UNKNOWN_KEYS, POSITIVE, Bound, Curve, NamedLabel, check_bounds
+from sim.knobs import (
+    NO_UNKNOWN_KEYS,
+    POSITIVE,
+    Bound,
+    Curve,
+    NamedLabel,
+    check_bounds,
+    without_proxies,
+)
 from sim.objects import ObjectModel, sense
 from sim.scene import Scene
 from sim.sensor import SensorModel, arrivals, blind, clock_error, moved, reported_pose
@@ -62,8 +70,7 @@ class DetectorModel:
         object.__setattr__(self, "label", MappingProxyType(ordered))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Mapping proxies do not pickle.
-        return _make_model, ({**self.__dict__, "label": dict(self.label)},)
+        return without_proxies(self)
 
     def of(self, label: Label) -> ObjectModel:
         """How objects of that label are detected."""
@@ -82,7 +89,9 @@ class DetectorModel:
         boxes = concatenate(
             [
                 *(
-                    sense(self.of(Label(label)), seen.take(seen.label == label), streams)
+                    sense(
+                        self.of(Label(label)), seen.take(seen.label == label), streams, self.clutter
+                    )
                     for label in np.unique(seen.label).tolist()
                 ),
                 clutter(self.clutter, scene, streams),
@@ -299,7 +308,3 @@ def _by_frame(boxes: Boxes, scene: Scene, pose: FloatArray) -> list[tuple[Detect
         )
         frames.append((detections, boxes.origin[rows]))
     return frames
-
-
-def _make_model(values: dict[str, Any]) -> DetectorModel:
-    return DetectorModel(**values)

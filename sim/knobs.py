@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from types import MappingProxyType
 from typing import Annotated, Any, Final, get_args, get_type_hints
 
 import numpy as np
 
 from pmbm.errors import InputError, nearest_hint
 from pmbm.labels import Label
-from pmbm.types import FloatArray
+from pmbm.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,12 @@ Size = Annotated[tuple[float, float, float], POSITIVE]
 """Length, width, height, m."""
 Spread = Annotated[tuple[float, float, float], Bound(0.0, 0.5)]
 """Relative standard deviations of length, width, height."""
+SizeCorrelation = Annotated[float | tuple[float, float, float], Bound(-0.999, 0.999)]
+"""One for every two of length, width, height; or that of length with width, of length with height
+and of width with height."""
+Row = tuple[float, float, float]
+SizeResponse = Annotated[tuple[Row, Row, Row], Bound(-2.0, 2.0)]
+"""Rows for the box's length, width, height; columns for the object's."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +168,10 @@ NamedLabel = Annotated[Label, _ByName()]
 """A label that files give by its name."""
 
 
+Shares = Annotated[Mapping[NamedLabel, float], SHARE]
+"""A probability for each of some labels."""
+
+
 def check_bounds(knobs: Any) -> None:
     """Refuse a dataclass one of whose annotated bounds does not hold.
 
@@ -174,7 +185,7 @@ def check_bounds(knobs: Any) -> None:
         if isinstance(given, Curve):
             numbers: list[Any] = list(given.value)
         elif isinstance(given, tuple):
-            numbers = list(given)
+            numbers = [n for part in given for n in (part if isinstance(part, tuple) else (part,))]
         elif isinstance(given, Mapping):
             numbers = list(given.values())
         else:
@@ -182,6 +193,53 @@ def check_bounds(knobs: Any) -> None:
         for number in numbers:
             if not bound.holds(number):
                 raise InputError(f"impossible {name}", field=name, expected=str(bound), got=number)
+
+
+def check_correlation(field: str, correlation: float | tuple[float, float, float]) -> None:
+    """Refuse what no three quantities can have for correlations.
+
+    Raises InputError with the field's name.
+    """
+    if isinstance(correlation, tuple):
+        a, b, c = correlation
+        possible, expected = 1 + 2 * a * b * c > a * a + b * b + c * c, "a positive definite matrix"
+    else:
+        possible, expected = correlation >= 0, "at least 0, or three numbers"
+    if not possible:
+        raise InputError(f"impossible {field}", field=field, expected=expected, got=correlation)
+
+
+def by_label(field: str, shares: Mapping[Label, float]) -> Mapping[Label, float]:
+    """Shares of labels, in order of the labels and read-only.
+
+    Raises InputError with the field's name where they add up to more than 1.
+    """
+    ordered = {Label(label): float(shares[label]) for label in sorted(shares)}
+    if sum(ordered.values()) > 1.0:
+        raise InputError(
+            f"impossible {field}",
+            field=field,
+            expected="probabilities that add up to at most 1",
+            got=list(ordered.values()),
+        )
+    return MappingProxyType(ordered)
+
+
+def without_proxies(knobs: Any) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+    """What `__reduce__` of a dataclass of knobs gives: its read-only mappings do not pickle."""
+    values = {k: dict(v) if isinstance(v, Mapping) else v for k, v in vars(knobs).items()}
+    return _made_again, (type(knobs), values)
+
+
+def _made_again(kind: type, values: dict[str, Any]) -> Any:
+    return kind(**values)
+
+
+def drawn_label(shares: Mapping[Label, float], draw: FloatArray) -> IntArray:
+    """The label (R,) that uniforms (R,) choose with these probabilities, -1 where none."""
+    names = np.array([*map(int, shares), -1])
+    chosen: IntArray = names[np.searchsorted(np.cumsum(list(shares.values())), draw, side="right")]
+    return chosen
 
 
 @cache

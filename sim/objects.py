@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmbm.errors import InputError
 from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
 from pmbm.types import FloatArray, IntArray
 from sim.boxes import TYPICAL_SIZE, Boxes, Targets, concatenate
+from sim.clutter import ClutterModel, look_alike
 from sim.knobs import (
     NO_UNKNOWN_KEYS,
     NOT_NEGATIVE,
@@ -22,10 +20,16 @@ from sim.knobs import (
     SHARE,
     Bound,
     Curve,
-    NamedLabel,
     NumberOrCurve,
+    Shares,
     Size,
+    SizeCorrelation,
+    SizeResponse,
+    by_label,
     check_bounds,
+    check_correlation,
+    drawn_label,
+    without_proxies,
 )
 from sim.streams import Purpose, Streams, beta, correlated, cumulative_normal, normal
 
@@ -60,7 +64,12 @@ class ObjectModel:
     near_side_anchor : how far the centre moves toward the visible side when pull and bias shrink
         the box: 0 keeps the centre, 1 keeps the corner nearest to the sensor.
     length_noise, width_noise, height_noise : standard deviation, m.
-    size_correlation : correlation of these three errors.
+    size_response : how deviations of the object's length, width and height from the typical
+        (columns) show in the box's (rows), before the pull: a detector that has learned which sizes
+        go together reports no others.  Where absent, each shows in itself alone.
+    size_correlation : correlation of the three errors of size: one number for every two, or three.
+    lasting_size_error : share of the variance of the errors of size that an object keeps for life.
+    noise_anchor : as near_side_anchor, when the errors of size grow or shrink the box.
     yaw_noise : standard deviation, rad.
     flip_probability : of a heading turned by pi.
     error_persistence : correlation of the errors of centre, size and heading (but for flips) from
@@ -73,6 +82,9 @@ class ObjectModel:
         errors of centre, size and heading: they are multiplied by exp(-c z - c^2), z the standard
         normal quality, which leaves their standard deviations over all boxes as they were.
     confusion : probability that the box bears another label, for each such label.
+    echo : probability of a false box of another label at the same place as the box, for each such
+        label, as of a detector that looks for each label apart.  It looks as false boxes do, heads
+        as the box does, and comes and goes as slowly as the quality that sets the confidence.
     duplicate_probability : of a second box of the same object close by, in a frame.
     duplicate_spread : standard deviation of the second box about the first, x and y, m.  Its
         confidence is a uniform share of the first's.
@@ -92,11 +104,14 @@ class ObjectModel:
     typical_size: Size | None = None
     size_bias: Annotated[float, Bound(-0.8, 4.0)] = 0.0
     hidden_size_bias: Annotated[float, Bound(-0.8, 4.0)] = 0.0
+    size_response: SizeResponse | None = None
     near_side_anchor: Annotated[float, SHARE] = 0.0
+    noise_anchor: Annotated[float, SHARE] = 0.0
     length_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     width_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     height_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
-    size_correlation: Annotated[float, Bound(0.0, 0.999)] = 0.0
+    size_correlation: SizeCorrelation = 0.0
+    lasting_size_error: Annotated[float, SHARE] = 0.0
     yaw_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     flip_probability: Annotated[float, SHARE] = 0.0
     error_persistence: Annotated[float, Bound(0.0, 0.999)] = 0.0
@@ -105,26 +120,20 @@ class ObjectModel:
     hidden_score_loss: Annotated[float, SHARE] = 0.0
     score_concentration: Annotated[float, POSITIVE] = 100.0
     quality_coupling: Annotated[float, Bound(0.0, 2.0)] = 0.0
-    confusion: Annotated[Mapping[NamedLabel, float], SHARE] = field(default_factory=dict)
+    confusion: Shares = field(default_factory=dict)
+    echo: Shares = field(default_factory=dict)
     duplicate_probability: Annotated[float, SHARE] = 0.0
     duplicate_spread: Annotated[float, NOT_NEGATIVE] = 0.8
     split_probability: Annotated[float, SHARE] = 0.0
 
     def __post_init__(self) -> None:
-        ordered = {Label(label): float(self.confusion[label]) for label in sorted(self.confusion)}
-        object.__setattr__(self, "confusion", MappingProxyType(ordered))
+        for name in ("confusion", "echo"):
+            object.__setattr__(self, name, by_label(name, getattr(self, name)))
         check_bounds(self)
-        if sum(ordered.values()) > 1.0:
-            raise InputError(
-                "impossible confusion",
-                field="confusion",
-                expected="probabilities that add up to at most 1",
-                got=list(ordered.values()),
-            )
+        check_correlation("size_correlation", self.size_correlation)
 
-    def __reduce__(self) -> tuple[object, ...]:
-        # Mapping proxies do not pickle.
-        return _make_object_model, ({**self.__dict__, "confusion": dict(self.confusion)},)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return without_proxies(self)
 
     def probability(self, distance: FloatArray, visibility: FloatArray) -> FloatArray:
         """Detection probability (R,) at distances (R,) and visible shares (R,)."""
@@ -144,14 +153,20 @@ class ObjectModel:
 ObjectModel.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]
 
 
-def sense(model: ObjectModel, seen: Targets, streams: Streams) -> Boxes:
-    """The boxes of those targets, all of one label, that are detected."""
+def sense(model: ObjectModel, seen: Targets, streams: Streams, false_boxes: ClutterModel) -> Boxes:
+    """The boxes of those targets, all of one label, that are detected, and their echoes among the
+    false boxes."""
     members = seen.members
     steady = model.error_persistence
+    sizes = members.normals(streams, Purpose.SIZE, 4, steady)
+    if model.lasting_size_error > 0:
+        lasting = members.lasting_normals(streams, Purpose.LASTING, 4)
+        share = model.lasting_size_error
+        sizes = np.sqrt(1.0 - share) * sizes + np.sqrt(share) * lasting
     errors = np.concatenate(
         [
             members.normals(streams, Purpose.POSITION, 3, steady),
-            correlated(members.normals(streams, Purpose.SIZE, 4, steady), model.size_correlation),
+            correlated(sizes, model.size_correlation),
             members.normals(streams, Purpose.HEADING, 1, steady),
         ],
         axis=1,
@@ -159,21 +174,29 @@ def sense(model: ObjectModel, seen: Targets, streams: Streams) -> Boxes:
     quality = members.normals(streams, Purpose.SCORE, 1, model.score_persistence)[:, 0]
     # Chains of errors run through frames without a detection, so misses move nothing else.
     detected = _detected(model, seen, streams)
+    echo = None
+    if model.echo:
+        echo = members.normals(streams, Purpose.ECHO, 8, model.score_persistence)[detected]
     seen, errors, quality = seen.take(detected), errors[detected], quality[detected]
     errors *= np.exp(-model.quality_coupling * (quality + model.quality_coupling))[:, None]
-    size, shift = _biased_size(model, seen)
+    size = _biased_size(model, seen)
+    reported = np.maximum(
+        size + _size_error(model, seen, errors[:, 3:6]), _SMALLEST_SHARE_OF_SIZE * seen.size
+    )
+    shift = _toward_sensor(seen, model.near_side_anchor * (seen.size - size))
+    if model.noise_anchor > 0:
+        shift = shift + _toward_sensor(seen, model.noise_anchor * (size - reported))
     boxes = Boxes(
         frame=seen.frame,
         origin=seen.row,
         position=seen.position + shift + _position_error(model, seen, errors[:, :3]),
-        size=np.maximum(
-            size + _size_error(model, seen, errors[:, 3:6]), _SMALLEST_SHARE_OF_SIZE * seen.size
-        ),
+        size=reported,
         yaw=_yaw(model, seen, errors[:, 6], streams),
         score=_score(model, seen, quality),
         label=_label(model, seen, streams),
     )
-    return _doubled(model, boxes, seen, streams)
+    found = _doubled(model, boxes, seen, streams)
+    return found if echo is None else concatenate([found, _echoes(model, boxes, echo, false_boxes)])
 
 
 def _detected(model: ObjectModel, seen: Targets, streams: Streams) -> NDArray[np.bool_]:
@@ -203,21 +226,29 @@ def _position_error(model: ObjectModel, seen: Targets, errors: FloatArray) -> Fl
     return np.stack([along * cos - across * sin, along * sin + across * cos, up], axis=1)
 
 
-def _biased_size(model: ObjectModel, seen: Targets) -> tuple[FloatArray, FloatArray]:
-    """Sizes (R,3) after pull and bias, and the moves (R,3) of the centre that keep the visible side
-    in place."""
+def _biased_size(model: ObjectModel, seen: Targets) -> FloatArray:
+    """Sizes (R,3) after response, pull and bias."""
     factor = 1.0 + model.size_bias + model.hidden_size_bias * (1.0 - seen.visibility)
     factor = np.maximum(factor, _SMALLEST_SHARE_OF_SIZE)
     typical = np.array([model.typical_size or TYPICAL_SIZE[Label(v)] for v in Label])[seen.label]
-    size = seen.size + model.size_pull(seen.distance)[:, None] * (typical - seen.size)
-    size = size * np.stack([factor, factor, np.ones_like(factor)], axis=1)
+    size = seen.size
+    if model.size_response is not None:
+        size = typical + (size - typical) @ np.array(model.size_response).T
+    size = size + model.size_pull(seen.distance)[:, None] * (typical - size)
+    biased: FloatArray = size * np.stack([factor, factor, np.ones_like(factor)], axis=1)
+    return biased
+
+
+def _toward_sensor(seen: Targets, shrunk: FloatArray) -> FloatArray:
+    """Moves (R,3) of the centre that keep the visible side in place of boxes that are by so much
+    (R,3) smaller."""
     toward_sensor = seen.bearing + np.pi - seen.yaw
     side = np.sign(np.stack([np.cos(toward_sensor), np.sin(toward_sensor)], axis=1))
-    local = model.near_side_anchor * side * (seen.size - size)[:, :2] / 2
+    local = side * shrunk[:, :2] / 2
     cos, sin = np.cos(seen.yaw), np.sin(seen.yaw)
     x = local[:, 0] * cos - local[:, 1] * sin
     y = local[:, 0] * sin + local[:, 1] * cos
-    return size, np.stack([x, y, np.zeros_like(x)], axis=1)
+    return np.stack([x, y, np.zeros_like(x)], axis=1)
 
 
 def _size_error(model: ObjectModel, seen: Targets, errors: FloatArray) -> FloatArray:
@@ -242,9 +273,18 @@ def _label(model: ObjectModel, seen: Targets, streams: Streams) -> IntArray:
     if not model.confusion:
         return seen.label
     draw = seen.members.uniforms(streams, Purpose.LABEL, 1)[:, 0]
-    names = np.array([int(label) for label in model.confusion])
-    which = np.searchsorted(np.cumsum(list(model.confusion.values())), draw, side="right")
-    return np.where(which < len(names), names[which.clip(max=len(names) - 1)], seen.label)
+    other = drawn_label(model.confusion, draw)
+    return np.where(other >= 0, other, seen.label)
+
+
+def _echoes(
+    model: ObjectModel, boxes: Boxes, draws: FloatArray, false_boxes: ClutterModel
+) -> Boxes:
+    """False boxes of another label where `boxes` are; `draws` (R,8) are standard normals."""
+    uniform = cumulative_normal(draws)
+    label = drawn_label(model.echo, uniform[:, 0])
+    rows = label >= 0
+    return look_alike(false_boxes, boxes.take(rows), label[rows], uniform[rows, 1:])
 
 
 def _doubled(model: ObjectModel, boxes: Boxes, seen: Targets, streams: Streams) -> Boxes:
@@ -272,7 +312,3 @@ def _doubled(model: ObjectModel, boxes: Boxes, seen: Targets, streams: Streams) 
         for side in (1.0, -1.0)
     ]
     return concatenate([boxes.take(~in_two), *halves, copy])
-
-
-def _make_object_model(values: dict[str, object]) -> ObjectModel:
-    return ObjectModel(**values)  # type: ignore[arg-type]

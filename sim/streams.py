@@ -40,6 +40,9 @@ class Purpose(enum.IntEnum):
     PLACE = 12
     PLACE_SEEN = 13
     FLIP = 14
+    LASTING = 15
+    ECHO = 16
+    COMPANION = 17
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,13 @@ class Members:
             draws[rows] = table[frames]
         return draws
 
+    def lasting_normals(self, streams: Streams, purpose: Purpose, width: int) -> FloatArray:
+        """Standard normal values (R, width), the same for all rows of an object."""
+        values = np.empty((len(self.frame), width))
+        for object_id, rows in self:
+            values[rows] = normal(streams.uniforms(purpose, 1, width, object_id))
+        return values
+
     def normals(
         self, streams: Streams, purpose: Purpose, width: int, persistence: float = 0.0
     ) -> FloatArray:
@@ -111,8 +121,14 @@ def normal(uniform: FloatArray) -> FloatArray:
     return value
 
 
-def correlated(values: FloatArray, correlation: float) -> FloatArray:
-    """Standard normals (R,3), every two of this correlation, from independent ones (R,4)."""
+def correlated(values: FloatArray, correlation: float | tuple[float, float, float]) -> FloatArray:
+    """Standard normals (R,3) from independent ones (R,4): every two of this correlation, or the
+    first two, the outer two and the last two of these."""
+    if isinstance(correlation, tuple):
+        first, outer, last = correlation
+        matrix = np.array([[1.0, first, outer], [first, 1.0, last], [outer, last, 1.0]])
+        mixed: FloatArray = values[:, 1:] @ np.linalg.cholesky(matrix).T
+        return mixed
     common = np.sqrt(correlation) * values[:, :1]
     return common + np.sqrt(1.0 - correlation) * values[:, 1:]
 
