@@ -92,7 +92,8 @@ Space = Mapping[str, Range | Choice]
 """Parameter -> where to look for it; the others stay as they are."""
 
 _SKELETON: Final[Space] = {
-    "min_score": Range(0.0, 0.9),
+    "min_score": Range(0.0, 0.95),
+    "report_above": Range(0.0, 0.95),
     "iou_gate": Range(0.01, 0.5, log=True),
     "min_hits": Range(1, 8, whole=True),
     "max_age": Range(1.0, 20.0),
@@ -117,7 +118,8 @@ SPACES: Final[Mapping[str, Space]] = {
     "waymo": _SKELETON,
     "probabilistic_kf": {
         "mahalanobis_gate": Range(2.0, 60.0, log=True),
-        "min_score": Range(0.0, 0.9),
+        "min_score": Range(0.0, 0.95),
+        "report_above": Range(0.0, 0.95),
         "min_hits": Range(1, 8, whole=True),
         "max_age": Range(1.0, 20.0),
     },

@@ -35,6 +35,7 @@ class Lifecycle:
     min_hits : reported from this many detections on, its first one counted.
     max_age : frames without a detection after which it ends.
     coasting : reported in frames without a detection of its own, too.
+    report_above : reported while its last detection scored at least this.
     frame_rate : frames per second in which ages and velocities are counted, Hz.
     """
 
@@ -42,6 +43,7 @@ class Lifecycle:
     min_hits: int
     max_age: float
     coasting: bool
+    report_above: float
     frame_rate: float
 
 
@@ -129,6 +131,7 @@ class BoxTracker:
             track
             for track in self._tracks
             if track.hits >= self.lifecycle.min_hits
+            and track.score >= self.lifecycle.report_above
             and (self.lifecycle.coasting or track.last_hit == time)
         ]
         if not shown:

@@ -70,6 +70,7 @@ class ProbabilisticKFConfig:
     min_score : detections below it are not looked at.
     min_hits : detections in all before a track is reported.
     max_age : frames without a detection after which a track ends.
+    report_above : a track is reported while its last detection scored at least this.
     frame_rate : frames per second in which ages and velocities are counted, Hz.
     noise : variances by label, with eleven states; labels left out have round numbers.  As a file
         has it, too: tables of `initial`, `process` and `measurement` by the label's name.
@@ -79,12 +80,14 @@ class ProbabilisticKFConfig:
     min_score: float = 0.0
     min_hits: int = 3
     max_age: float = 2.0
+    report_above: float = 0.0
     frame_rate: float = 10.0
     noise: Mapping[Label, BoxNoise] | Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         door = Door(self, type(self).__name__)
-        door.number("min_score", at_least=0.0, at_most=1.0)
+        for name in ("min_score", "report_above"):
+            door.number(name, at_least=0.0, at_most=1.0)
         door.count("min_hits", at_least=1)
         for name in ("mahalanobis_gate", "max_age", "frame_rate"):
             door.number(name, above=0.0)
@@ -149,6 +152,7 @@ class ProbabilisticKFTracker:
                 min_hits=config.min_hits,
                 max_age=config.max_age,
                 coasting=False,
+                report_above=config.report_above,
                 frame_rate=config.frame_rate,
             ),
             noise=config.noise_of,

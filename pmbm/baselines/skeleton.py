@@ -29,6 +29,7 @@ class SkeletonConfig:
     iou_gate : least IoU of a track and its detection.
     min_hits : detections in all before a track is reported.
     max_age : frames without a detection after which a track ends.
+    report_above : a track is reported while its last detection scored at least this.
     frame_rate : frames per second in which ages and velocities are counted, Hz.
     initial_variance, initial_velocity_variance : diagonal of P at birth (m, rad; per frame).
     process_variance, process_velocity_variance : diagonal of Q per frame.
@@ -39,6 +40,7 @@ class SkeletonConfig:
     iou_gate: float = 0.1
     min_hits: int
     max_age: float
+    report_above: float = 0.0
     frame_rate: float = 10.0
     initial_variance: float = 10.0
     initial_velocity_variance: float = 1e4
@@ -48,7 +50,8 @@ class SkeletonConfig:
 
     def __post_init__(self) -> None:
         door = Door(self, type(self).__name__)
-        door.number("min_score", at_least=0.0, at_most=1.0)
+        for name in ("min_score", "report_above"):
+            door.number(name, at_least=0.0, at_most=1.0)
         door.number("iou_gate", above=0.0, at_most=1.0)
         door.count("min_hits", at_least=1)
         for name in _POSITIVE:
@@ -70,6 +73,7 @@ def skeleton_tracker(config: SkeletonConfig, *, vertical: bool, coasting: bool) 
             min_hits=config.min_hits,
             max_age=config.max_age,
             coasting=coasting,
+            report_above=config.report_above,
             frame_rate=config.frame_rate,
         ),
         noise=lambda _label: noise,

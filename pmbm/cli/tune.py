@@ -57,6 +57,11 @@ _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mod
     "parameter.  [default: the shipped trackers have one each]",
 )
 @click.option(
+    "--fit-noise",
+    is_flag=True,
+    help="First fit the noise of probabilistic_kf to what it is tuned on.",
+)
+@click.option(
     "--recordings",
     type=click.IntRange(min=1),
     default=5,
@@ -96,6 +101,7 @@ def command(
     config: Path | None,
     metric: str | None,
     space_file: Path | None,
+    fit_noise: bool,
     recordings: int,
     held_back: int,
     trials: int,
@@ -142,7 +148,15 @@ def command(
             tracker = ConfiguredTracker(tracker_name, tuple(values.items()))
             space = _space(tracker, space_file, config)
             sources = [resolve(name, {}) for name in scenarios]
-            problem = Simulated.of(sources, tracker, metric or "gospa", seed, recordings, spread)
+            problem = Simulated.of(
+                sources,
+                tracker,
+                metric or "gospa",
+                seed,
+                recordings,
+                spread,
+                fit_noise=fit_noise,
+            )
         else:
             problem = Logged.of(
                 dataset_name,
@@ -155,6 +169,7 @@ def command(
                 rule=rule,
                 mode=mode,
                 spread=spread,
+                fit_noise=fit_noise,
             )
             space = _space(problem.tracker, space_file, config)
         present = _present(problem.tracker, space)

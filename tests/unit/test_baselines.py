@@ -165,6 +165,20 @@ def test_scores_below_the_threshold_are_not_looked_at():
         assert len(outputs[-1]) == shown
 
 
+def test_a_track_is_reported_while_its_last_score_is_high_enough():
+    """The weak detection at frame 6 keeps the track alive, but it is not shown until frame 8, when
+    it is seen well again: coasting in frame 7 it is as good as its last detection."""
+    scores = {6: 0.4, 7: None, 8: 0.9}
+    frames = [
+        frame(k, *([] if scores.get(k, 0.8) is None else [(0, 0, 0, scores.get(k, 0.8))]))
+        for k in range(9)
+    ]
+    config = ArgoverseConfig(min_score=0.3, report_above=0.5)
+    outputs = drive(ArgoverseTracker(config), frames)
+    assert [len(tracks) for tracks in outputs] == [0, 0, 0, 0, 1, 1, 0, 0, 1]
+    assert outputs[8].id.tolist() == outputs[5].id.tolist()
+
+
 def test_classes_are_tracked_apart():
     frames = [
         frame(k, (0, 0, 0, 0.9, Label.CAR if k % 2 else Label.TRUCK), (0, 0, 0, 0.8, Label.BUS))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from pmbm.baselines import fit_statistics
 from pmbm.cli import main
 from pmbm.cli.sources import resolve
 from pmbm.cli.track import class_trackers
@@ -257,6 +258,24 @@ def test_the_file_is_one_that_track_and_studies_take(scene, tmp_path, capsys):
     # Without a file to write, the same goes to standard output, and nothing else does.
     assert pmbm(scene, *options, "--held-back", 2) == 0
     assert tomllib.loads(capsys.readouterr().out) == values
+
+
+def test_noise_is_fitted_to_what_is_tuned_on(scene, tmp_path, capsys):
+    out = tmp_path / "kf.toml"
+    options = ("--recordings", 2, "--trials", 2, "--held-back", 2, "--fit-noise", "--out", out)
+    assert pmbm(scene, "--tracker", "probabilistic_kf", *options) == 0
+    noise = tomllib.loads(out.read_text())["noise"]
+    source = resolve(str(scene), {})
+    fitted = fit_statistics([source.record(1, trial) for trial in range(2)])
+    assert set(noise) == {label.name for label in fitted} == {"CAR"}
+    for part, values in noise["CAR"].items():
+        assert values == pytest.approx(getattr(fitted[Label.CAR], part), rel=1e-3, abs=1e-12)
+    dataset = open_dataset("kitti", root=tmp_path, classes=("Car",))
+    tracked = class_trackers(dataset, "probabilistic_kf", out)[Label.CAR](Site())
+    assert tracked.config.noise_of(Label.CAR).measurement.tolist() == noise["CAR"]["measurement"]
+    capsys.readouterr()
+    found = refusal(capsys, scene, "--tracker", "argoverse", "--fit-noise")
+    assert "no parameter 'noise'" in found
 
 
 def test_gains_are_those_of_a_study_on_the_same_trials(scene):
