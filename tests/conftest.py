@@ -49,6 +49,23 @@ def verified(request):
     return add
 
 
+@pytest.fixture
+def drawn(request, tmp_path):
+    """`drawn(id, figure)` keeps a figure as SVG: beside the record of `--verification FILE`, as
+    FILE_ID.svg without its suffix, and else nowhere that lasts."""
+
+    def keep(id, figure):
+        from reports.drawing import save
+
+        file = Path(request.config.getoption("--verification") or tmp_path / "verification.json")
+        path = file.with_name(f"{file.stem}_{id}.svg")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save(figure, path)
+        return path
+
+    return keep
+
+
 class _Verification:
     """Gathers the rows, from worker processes too, and writes them in order of their ids."""
 

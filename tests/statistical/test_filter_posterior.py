@@ -1,8 +1,8 @@
 """Is the posterior true?  Worlds drawn from the filter's own prior, posteriors held against them.
 
-S2 the number of objects, S3 the existence of tracks, S4 states and innovations, S5 what pruning,
-capping and gating cost.  S1, equality with exact enumeration, is among the oracle tests.  Seeds are
-fixed here; `PMBM_FRESH_SEEDS=1` draws others.
+S1 equality with exact enumeration, S2 the number of objects, S3 the existence of tracks, S4 states
+and innovations, S5 what pruning, capping and gating cost.  Seeds are fixed here;
+`PMBM_FRESH_SEEDS=1` draws others.  Each draws its figure beside the record of `--verification`.
 """
 
 from __future__ import annotations
@@ -12,16 +12,24 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from every_partition import Small, posterior
 from scipy.stats import chi2
 
 from pmbm.filter.association import associate
-from pmbm.filter.density import Density, Mixture
+from pmbm.filter.density import Density, Locals, Mixture
 from pmbm.filter.estimation import cardinality, marginals
 from pmbm.filter.models import Sensor, Transition, constant_velocity
 from pmbm.filter.prediction import predict
 from pmbm.filter.reduction import Limits, reduce
 from pmbm.filter.scan import Scan
 from pmbm.filter.update import update
+from reports.posterior_figures import (
+    cost_figure,
+    errors_figure,
+    reliability_figure,
+    squares_figure,
+    transform_figure,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -167,8 +175,22 @@ def band(n, alpha=0.01):
     return float(np.sqrt(np.log(2 / alpha) / (2 * n)))
 
 
+@dataclass(frozen=True)
+class Reliability:
+    """Per bin of claimed existence, its mean, the share that exists, and that share's standard
+    error by trials; the z-score of the difference; over all tracks the Brier score, the expected
+    calibration error and their number."""
+
+    claimed: np.ndarray
+    true: np.ndarray
+    error: np.ndarray
+    z: np.ndarray
+    brier: float
+    ece: float
+    tracks: int
+
+
 def reliability(outcomes, bins=10):
-    """Per bin of claimed existence: z-score of claimed against true, variance by trials."""
     edges = np.linspace(0, 1, bins + 1)
     sums = np.zeros((len(outcomes), bins))
     claimed, true = [], []
@@ -182,7 +204,20 @@ def reliability(outcomes, bins=10):
     scale = np.sqrt((sums**2).sum(axis=0))
     z = np.divide(sums.sum(axis=0), scale, out=np.zeros(bins), where=scale > 0)
     claimed, true = np.array(claimed), np.array(true)
-    return z, float(((claimed - true) ** 2).mean()), len(claimed)
+    place = np.minimum(np.searchsorted(edges, claimed, side="right") - 1, bins - 1)
+    count = np.bincount(place, minlength=bins)
+    filled = np.maximum(count, 1)
+    mean = np.bincount(place, claimed, minlength=bins) / filled
+    share = np.bincount(place, true, minlength=bins) / filled
+    return Reliability(
+        claimed=mean,
+        true=share,
+        error=scale / filled,
+        z=z,
+        brier=float(((claimed - true) ** 2).mean()),
+        ece=float((count * np.abs(mean - share)).sum() / len(claimed)),
+        tracks=len(claimed),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -190,27 +225,165 @@ def own_worlds():
     return runs(World())
 
 
-def test_s2_number_of_objects(own_worlds, verified):
+KEEP_ALL = Limits(
+    prune_hypothesis=0.0,
+    max_hypotheses=10**18,
+    recycle_below=0.0,
+    recycle=True,
+    max_tracks=10**6,
+    prune_undetected=0.0,
+    merge_undetected=0.0,
+    max_undetected=10**6,
+    clustering=False,
+    split_below=0.0,
+)
+
+
+def small_world(rng, still):
+    """A world with few frames: still, with births in each; or moving, with none after the first."""
+    dt = float(rng.uniform(0.2, 1.5))
+    F, Q = constant_velocity(dt, float(rng.uniform(0.1, 1.0)))
+    return Small(
+        F=np.eye(4) if still else F,
+        Q=np.zeros((4, 4)) if still else Q,
+        R=np.diag(rng.uniform(0.2, 1.0, 2)),
+        mean=rng.normal(0, 1, 4),
+        cov=np.diag(rng.uniform(1.0, 6.0, 4)),
+        detection=float(rng.uniform(0.5, 0.95)),
+        survival=float(rng.uniform(0.8, 0.99)),
+        clutter=float(rng.uniform(0.005, 0.05)),
+        initial=float(rng.uniform(0.5, 2.0)),
+        births=float(rng.uniform(0.1, 0.6)) if still else 0.0,
+    )
+
+
+def filtered(world, frames, clustering):
+    """The filter's density at the end, everything kept."""
+    sensor = Sensor(world.R, world.detection, world.clutter)
+    transition = Transition(world.F, world.Q, world.survival)
+
+    def mixture(weight):
+        return Mixture(np.log([weight]), world.mean[None], world.cov[None])
+
+    density = Density.initial(
+        mixture(world.initial), clustering=clustering, local=Locals.empty(len(frames))
+    )
+    for k, z in enumerate(frames):
+        if k:
+            births = mixture(world.births) if world.births else Mixture.empty()
+            density = predict(density, transition, births)
+        scan = Scan.of_positions(z)
+        found = associate(
+            density,
+            scan,
+            sensor,
+            gate_threshold=1e12,
+            max_hypotheses=10**18,
+            clustering=clustering,
+        )
+        density, _ = reduce(
+            update(density, scan, found, sensor), replace(KEEP_ALL, clustering=clustering)
+        )
+    return density
+
+
+def from_enumeration(world, frames, exact, cells, clustering):
+    """Relative errors of the filter's numbers, by what they are."""
+    density = filtered(world, frames, clustering)
+    local, table = density.local, density.hypotheses
+    row_of = {
+        frozenset((k, j) for k, j in enumerate(history) if j >= 0): row
+        for row, history in enumerate(local.history.tolist())
+    }
+    assert len(row_of) == len(local)
+    assert row_of.keys() == cells.keys()
+    ours = {frozenset(): 0.0}
+    for cluster in range(table.clusters):
+        rows = np.flatnonzero(table.cluster == cluster)
+        cell_of = {row: cell for cell, row in row_of.items()}
+        own = [
+            (
+                frozenset(cell_of[i] for i in table.member[table.start[g] : table.start[g + 1]]),
+                table.log_weight[g],
+            )
+            for g in rows
+        ]
+        ours = {a | b: wa + wb for a, wa in ours.items() for b, wb in own}
+    assert ours.keys() == exact.keys()
+    undetected = world.undetected(len(frames))
+    errors = {
+        "weights": [abs(np.exp(ours[p]) / w - 1) for p, w in exact.items()],
+        "existence": [
+            abs(local.existence[row_of[c]] - cell.existence) for c, cell in cells.items()
+        ],
+        "states": [
+            np.abs(local.mean[row_of[c]] - cell.mean).max() / max(1, np.abs(cell.mean).max())
+            for c, cell in cells.items()
+        ],
+        "undetected": [
+            abs(np.exp(density.undetected.log_weight).sum() / undetected - 1),
+        ],
+    }
+    return {what: np.array(values, float) for what, values in errors.items()}
+
+
+def test_s1_exact_against_enumeration(verified, drawn, monkeypatch):
+    """Every global hypothesis, every Bernoulli and the undetected, over whole runs."""
+    monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", 10**9)
+    rng = np.random.default_rng(np.random.SeedSequence(ENTROPY, spawn_key=(9,)))
+    found: dict[str, list] = {}
+    worlds = 0
+    while worlds < 40:
+        world = small_world(rng, still=worlds % 2 == 0)
+        counts = rng.permutation([3, 2, 2, int(rng.integers(0, 2))])
+        frames = [rng.normal(0, 1, (n, 2)) for n in counts]
+        exact, cells = posterior(world, frames)
+        if min(exact.values()) < 1e-11:
+            # Even the largest number of children leaves too few to a parent so improbable.
+            continue
+        clustering = worlds % 4 < 2
+        for what, errors in from_enumeration(world, frames, exact, cells, clustering).items():
+            found.setdefault(what, []).append(errors)
+        worlds += 1
+    errors = {what: np.concatenate(parts) for what, parts in found.items()}
+    drawn("S1", errors_figure(errors, 1e-9))
+    count = sum(map(len, errors.values()))
+    worst = max(float(values.max()) for values in errors.values())
+    verified(
+        "S1",
+        f"worst relative error of {count} numbers against enumeration, 40 worlds",
+        f"{worst:.1e}",
+        1e-9,
+        worst < 1e-9,
+    )
+    assert count > 10_000
+    assert worst < 1e-9
+
+
+def test_s2_number_of_objects(own_worlds, verified, drawn):
     rng = np.random.default_rng(1)
-    gap = worst_gap([transform(run, rng) for run, _ in own_worlds])
-    bound = band(len(own_worlds))
+    values = [transform(run, rng) for run, _ in own_worlds]
+    gap, bound = worst_gap(values), band(len(own_worlds))
+    drawn("S2", transform_figure(values, bound))
     ok = bool(gap < bound)
     verified("S2", "PIT of the true number of objects", round(float(gap), 4), round(bound, 4), ok)
     assert gap < bound
 
 
-def test_s3_existence_of_tracks(own_worlds, verified):
-    z, brier, n = reliability(own_worlds)
+def test_s3_existence_of_tracks(own_worlds, verified, drawn):
+    found = reliability(own_worlds)
+    drawn("S3", reliability_figure(found.claimed, found.true, 3.29 * found.error))
     verified(
         "S3",
-        f"existence of {n} tracks, worst bin's z",
-        round(float(np.abs(z).max()), 2),
+        f"existence of {found.tracks} tracks, worst bin's z",
+        round(float(np.abs(found.z).max()), 2),
         3.29,
-        bool((np.abs(z) < 3.29).all()),
+        bool((np.abs(found.z) < 3.29).all()),
     )
-    verified("S3", "Brier score of existence", round(brier, 4))
-    assert n > 1000
-    assert (np.abs(z) < 3.29).all(), z
+    verified("S3", "Brier score of existence", round(found.brier, 4))
+    verified("S3", "expected calibration error of existence", round(found.ece, 4))
+    assert found.tracks > 1000
+    assert (np.abs(found.z) < 3.29).all(), found.z
 
 
 @pytest.mark.parametrize(
@@ -223,11 +396,11 @@ def test_s2_and_s3_notice_a_wrong_belief(wrong):
     outcomes = runs(world, replace(world, **wrong), count=500, salt=1)
     rng = np.random.default_rng(1)
     gap = worst_gap([transform(run, rng) for run, _ in outcomes])
-    z, _, _ = reliability(outcomes)
+    z = reliability(outcomes).z
     assert gap > band(len(outcomes)) or np.abs(z).max() > 3.29
 
 
-def test_s4_states_and_innovations(verified):
+def test_s4_states_and_innovations(verified, drawn):
     """Certain detection, no clutter, one object: chi-square to the letter."""
     world = World(
         detection=1.0, survival=1.0, birth=1e-9, initial=1.0, clutter=0.0, gate=1e6, spread=200.0
@@ -241,6 +414,7 @@ def test_s4_states_and_innovations(verified):
         error = run.density.local.mean[best[0]] - objects[0]["x"]
         nees.append(error @ np.linalg.solve(run.density.local.cov[best[0]], error))
         nis += run.nis
+    drawn("S4", squares_figure({"NEES": (nees, 4), "NIS": (nis, 2)}))
     for what, values, dof in (("NEES", nees, 4), ("NIS", nis, 2)):
         n = len(values)
         low, high = chi2.ppf([0.0005, 0.9995], dof * n) / n
@@ -255,7 +429,7 @@ def test_s4_states_and_innovations(verified):
         assert low < mean < high
 
 
-def test_s5_what_the_reductions_cost(verified):
+def test_s5_what_the_reductions_cost(verified, drawn):
     """Expected number of objects under hard reductions against hardly any, same worlds."""
     world = World()
     free = replace(
@@ -275,6 +449,8 @@ def test_s5_what_the_reductions_cost(verified):
         density = run.density
         return np.exp(density.undetected.log_weight).sum() + marginals(density).existence.sum()
 
+    exact = [expected(run) for run, _ in runs(world, free, 60, salt=3)]
+    found = {}
     for what, belief in {
         "the defaults": replace(
             world,
@@ -292,17 +468,13 @@ def test_s5_what_the_reductions_cost(verified):
         "a gate of 9": replace(world, gate=9.0),
         "one global hypothesis": replace(world, limits=replace(world.limits, max_hypotheses=1)),
     }.items():
-        pairs = [
-            (expected(a), expected(b))
-            for (a, _), (b, _) in zip(
-                runs(world, belief, 60, salt=3), runs(world, free, 60, salt=3), strict=True
-            )
-        ]
-        bias = float(np.mean([a - b for a, b in pairs]))
-        error = float(np.mean([abs(a - b) for a, b in pairs]))
+        reduced = [expected(run) for run, _ in runs(world, belief, 60, salt=3)]
+        found[what] = exact, reduced
+        difference = np.subtract(reduced, exact)
         verified(
             "S5",
             f"bias and mean error of the expected number under {what}",
-            f"{bias:+.4f}, {error:.4f}",
+            f"{difference.mean():+.4f}, {np.abs(difference).mean():.4f}",
         )
-        assert abs(bias) < 0.5
+        assert abs(difference.mean()) < 0.5
+    drawn("S5", cost_figure(found))

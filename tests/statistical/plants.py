@@ -1,0 +1,391 @@
+"""The mistakes that `mutations.py` plants, one at a time.
+
+A plant is a name, a file, a passage that stands in it exactly once, what replaces it, and the test
+that noticed it last, which is asked first.  Those from "likelihood at the posterior" to "ids used
+again" have all been found in public code.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+FILTER_TESTS = (
+    "tests/unit/test_filter_exact.py",
+    "tests/unit/test_filter_models.py",
+    "tests/unit/test_filter_presets.py",
+    "tests/unit/test_filter_marks.py",
+    "tests/unit/test_filter_tracker.py",
+    "tests/oracle/test_filter_oracle.py::test_a_tiny_problem_solved_exactly",
+)
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A mistake: in `file`, `old` becomes `new`; one of `tests` should fail, `by` first of all."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    by: str = ""
+    tests: tuple[str, ...] = FILTER_TESTS
+
+    def planted(self, text: str) -> str:
+        """The file's text with the mistake in it.
+
+        Raises LookupError where the passage does not stand in it exactly once: the code has moved
+        on, and the plant has to follow.
+        """
+        count = text.count(self.old)
+        if count != 1:
+            raise LookupError(
+                f"plant '{self.name}' no longer applies: {self.file} holds its passage "
+                f"{count} times, not once; bring it up to date in tests/statistical/plants.py"
+            )
+        return text.replace(self.old, self.new)
+
+
+def _filter(name: str, file: str, old: str, new: str) -> Plant:
+    return Plant(name, f"pmbm/filter/{file}.py", old, new)
+
+
+PLANTS = [
+    _filter(
+        "likelihood at the posterior",
+        "association",
+        "    possible = log_weight > -np.inf\n",
+        "    log_weight = log_weight + 0.25 * (y * y).sum(axis=1)\n"
+        "    possible = log_weight > -np.inf\n",
+    ),
+    _filter(
+        "undetected times P_D",
+        "update",
+        "ppp.log_weight + np.log1p(-detection)",
+        "ppp.log_weight + np.log(detection)",
+    ),
+    _filter(
+        "no clutter outside the birth gate",
+        "association",
+        "np.maximum(np.logaddexp(log_first, log_clutter), LOG_TINY)",
+        "np.where(log_first > -np.inf, np.logaddexp(log_first, log_clutter), LOG_TINY)",
+    ),
+    _filter(
+        "misses of the parent dropped",
+        "association",
+        "        + summed(log_missed[parents.member], row_of_entry, len(parents))\n",
+        "",
+    ),
+    _filter(
+        "a lone measurement is no clutter",
+        "association",
+        "    best = k_best_choices(\n",
+        "    gain = gain + 50.0 * (np.bincount(known.measurement)[known.measurement] == 1)\n"
+        "    best = k_best_choices(\n",
+    ),
+    _filter(
+        "recycled with the hypotheses' weight alone",
+        "reduction",
+        "probability[rows] * local.existence[rows]",
+        "probability[rows]",
+    ),
+    _filter(
+        "recycled with r alone",
+        "reduction",
+        "probability[rows] * local.existence[rows]",
+        "local.existence[rows]",
+    ),
+    _filter(
+        "a pruned Bernoulli takes its hypotheses along",
+        "reduction",
+        "    before = starts(staying.astype(np.intp))\n",
+        "    hit = np.bincount(table.row_of_member(), ~staying, minlength=len(table)) > 0\n"
+        "    if not hit.all():\n"
+        "        table = _keep(table, ~hit)\n"
+        "        staying = np.ones(len(table.member), bool)\n"
+        "    before = starts(staying.astype(np.intp))\n",
+    ),
+    _filter(
+        "no largest of an empty pool",
+        "association",
+        "        if not len(pairs.row):\n            return np.full(len(z), -np.inf)\n",
+        "",
+    ),
+    _filter(
+        "existence overwritten before its weight",
+        "models",
+        "        left = 1 - r * P_D\n",
+        "        r = r * (1 - P_D) / np.maximum(1 - r * P_D, 1e-300)\n        left = 1 - r * P_D\n",
+    ),
+    _filter(
+        "time stops in empty frames",
+        "tracker",
+        "            dt = self._elapsed(detections.time)\n",
+        "            dt = self._elapsed(detections.time) if len(detections) else 0.0\n",
+    ),
+    _filter(
+        "ids used again",
+        "update",
+        "detections_seen=density.detections_seen + len(scan)",
+        "detections_seen=len(density.track_id) + len(scan)",
+    ),
+    _filter(
+        "Q in the order x, vx, y, vy",
+        "models",
+        "    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**2 / 2\n",
+        "    Q = np.diag([dt**3 / 3, dt, dt**3 / 3, dt])\n"
+        "    Q[0, 1] = Q[1, 0] = Q[2, 3] = Q[3, 2] = dt**2 / 2\n",
+    ),
+    _filter(
+        "Q of the discrete form",
+        "models",
+        "    Q = np.diag([dt**3 / 3, dt**3 / 3, dt, dt])\n"
+        "    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**2 / 2\n",
+        "    Q = np.diag([dt**4 / 4, dt**4 / 4, dt**2, dt**2])\n"
+        "    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**3 / 2\n",
+    ),
+    _filter(
+        "sign of the log determinant",
+        "gaussian",
+        "-_LOG_2PI - np.log(self.l11) - np.log(self.l22)",
+        "-_LOG_2PI + np.log(self.l11) + np.log(self.l22)",
+    ),
+    _filter(
+        "P_S whatever the interval",
+        "models",
+        "    return survival ** (dt / interval)",
+        "    return survival",
+    ),
+    _filter(
+        "births whatever the interval",
+        "models",
+        "rate * (dt if mu == 0 else -math.expm1(-mu * dt) / mu)",
+        "rate * interval",
+    ),
+    _filter(
+        "merged hypotheses lose weight",
+        "clusters",
+        "    log_weight[kept] = top + np.log(np.add.reduceat(weight, first))\n",
+        "    log_weight[kept] = top\n",
+    ),
+    _filter(
+        "equal rows by a hash that knows no zero",
+        "clusters",
+        "(table.member + 1).astype(np.uint64)",
+        "table.member.astype(np.uint64)",
+    ),
+    _filter(
+        "weights not shared out after pruning",
+        "reduction",
+        "        normalised(table.log_weight[rows], cluster),\n",
+        "        table.log_weight[rows],\n",
+    ),
+    _filter(
+        "children out of proportion",
+        "association",
+        "* np.exp(parents.log_weight) - 1e-9",
+        "* np.ones(len(parents)) - 1e-9",
+    ),
+    _filter(
+        "no survival for undetected objects",
+        "prediction",
+        "Mixture(ppp.log_weight + log_survival, ",
+        "Mixture(ppp.log_weight, ",
+    ),
+    _filter(
+        "spread of the fused means forgotten",
+        "gaussian",
+        "(cov + spread[:, :, None] * spread[:, None, :])",
+        "cov",
+    ),
+    _filter(
+        "a split keeps only the first cluster's weights",
+        "clusters",
+        "np.concatenate([table.log_weight[kept], np.zeros(len(alone))])",
+        "np.concatenate([np.zeros(len(kept)), np.zeros(len(alone))])",
+    ),
+    _filter(
+        "a product of clusters forgets a factor's weight",
+        "clusters",
+        "        summed(table.log_weight[source], joint, rows),\n",
+        "        summed(\n"
+        "            table.log_weight[source] * (np.diff(joint, prepend=-1) > 0), joint, rows\n"
+        "        ),\n",
+    ),
+    _filter(
+        "a shared measurement joins no clusters",
+        "clusters",
+        "    if len(ties):\n",
+        "    if False:\n",
+    ),
+    _filter(
+        "dependent groups taken apart",
+        "clusters",
+        "coo_array(between > tolerance)",
+        "coo_array(between > 10.0)",
+    ),
+    _filter(
+        "detected with the existence it had",
+        "update",
+        "        np.ones(len(pairs)),\n",
+        "        before.existence,\n",
+    ),
+    _filter(
+        "a gate of the wrong root",
+        "gating",
+        "np.nonzero(y0 * y0 + y1 * y1 < threshold)",
+        "np.nonzero(y0 * y0 + y1 * y1 < threshold**0.5)",
+    ),
+    _filter(
+        "crowded gates cut short",
+        "gating",
+        "    within[crowded] = False\n",
+        "    crowded[:] = False\n",
+    ),
+    _filter(
+        "position noise in place of its square",
+        "tracker",
+        "R=config.measurement_sd**2 * np.eye(2)",
+        "R=config.measurement_sd * np.eye(2)",
+    ),
+    _filter(
+        "reported from the best hypothesis alone",
+        "estimation",
+        "    existence = summed(mass, local.track, tracks)\n",
+        "    existence = np.zeros(tracks)\n    np.maximum.at(existence, local.track, mass)\n",
+    ),
+    _filter(
+        "cardinality without the rest's absence",
+        "estimation",
+        "        left = np.concatenate([np.cumsum(np.log1p(-falling[::-1]))[::-1], [0.0]])\n",
+        "        left = np.zeros(len(falling) + 1)\n",
+    ),
+    _filter(
+        "a track out of view is still reported",
+        "tracker",
+        "view.share_inside(local.mean, local.cov) > 0.5",
+        "view.share_inside(local.mean, local.cov) > -1",
+    ),
+    _filter(
+        "scores speak the wrong way round",
+        "tracker",
+        "np.column_stack([2 * s, 2 * (1 - s)])",
+        "np.column_stack([2 * (1 - s), 2 * s])",
+    ),
+    _filter(
+        "state changed before time is checked",
+        "tracker",
+        "            dt = self._elapsed(detections.time)\n",
+        "            before, self._time = self._time, detections.time\n"
+        "            if detections.time < before:\n"
+        "                raise InputError('detections out of order', field='time')\n"
+        "            dt = detections.time - before\n",
+    ),
+    Plant(
+        "y not mirrored",
+        "sim/traffic.py",
+        "path.rows.append((x, -y, ",
+        "path.rows.append((x, y, ",
+        tests=("tests/unit/test_traffic.py",),
+    ),
+    _filter(
+        "no clutter at all",
+        "association",
+        "np.maximum(np.logaddexp(log_first, log_clutter), LOG_TINY)",
+        "np.maximum(log_first, LOG_TINY)",
+    ),
+    _filter(
+        "ghosts are reported",
+        "estimation",
+        "mass * (local.kind @ object_share)",
+        "mass * local.kind.sum(axis=1)",
+    ),
+    _filter(
+        "the chain of being seen never forgets",
+        "marks",
+        "self.usual + (seen - self.usual) * memory",
+        "seen",
+    ),
+    _filter(
+        "a miss says nothing of being seen",
+        "marks",
+        "missed_if_seen = 1 - P_D / ",
+        "missed_if_seen = 1 - P_D + 0 * ",
+    ),
+    Plant(
+        "a track hides itself",
+        "pmbm/filter/occlusion.py",
+        "log_open -= self._by_itself(",
+        "log_open -= 0.0 * self._by_itself(",
+        tests=("tests/property/test_filter_occlusion.py",),
+    ),
+    Plant(
+        "what stands behind hides as well",
+        "pmbm/filter/occlusion.py",
+        "return bearing + np.minimum(distance, 0.999 * _FAR) / _FAR",
+        "return bearing + 0.5 - np.minimum(distance, 0.4 * _FAR) / _FAR",
+        tests=("tests/property/test_filter_occlusion.py",),
+    ),
+    Plant(
+        "seeds shared between workers",
+        "pmbm/study/worker.py",
+        "trial=study.trial(index),",
+        "trial=0,",
+        tests=("tests/unit/study/test_runner.py::test_the_digest_does_not_depend_on_processes",),
+    ),
+    Plant(
+        "seeds shared between trials",
+        "sim/streams.py",
+        "key = (self.trial, int(purpose)",
+        "key = (0, int(purpose)",
+        tests=("tests/unit/test_detector_streams.py",),
+    ),
+    Plant(
+        "streams shared between objects",
+        "sim/streams.py",
+        "int(object_id) % 2**64)",
+        "0)",
+        tests=("tests/unit/test_detector_streams.py",),
+    ),
+    Plant(
+        "damaged rows are believed",
+        "pmbm/study/store.py",
+        "whole = row.hash(known_hash) == row_hash",
+        "whole = True",
+        tests=("tests/unit/study/test_store.py::test_damaged_rows_are_named_and_run_again",),
+    ),
+    Plant(
+        "the gate's variance without its floor",
+        "pmbm/regression/sequence.py",
+        "np.maximum(variance, value_range**2 / n)",
+        "np.maximum(variance, 1e-300)",
+        tests=("tests/unit/regression/test_sequence.py", "tests/unit/regression/test_verdicts.py"),
+    ),
+    Plant(
+        "GOSPA misses whom it has matched",
+        "pmbm/metrics/gospa.py",
+        "missed_count = scene.truth.count(frames) - matched",
+        "missed_count = scene.truth.count(frames) - 0 * matched",
+        tests=("tests/unit/test_metrics.py",),
+    ),
+    Plant(
+        "a switch to the same track",
+        "pmbm/metrics/clear.py",
+        "switch[order[1:]] = again & other",
+        "switch[order[1:]] = again",
+        tests=("tests/unit/test_metrics.py",),
+    ),
+    Plant(
+        "the partition of the best assignment forgets what it excluded",
+        "pmbm/assignment/reference.py",
+        "inherited | {node.columns[row]}",
+        "frozenset({node.columns[row]})",
+        tests=("tests/unit/test_assignment.py", "tests/property/test_assignment_laws.py"),
+    ),
+    Plant(
+        "an angle of just under zero becomes pi",
+        "pmbm/geometry.py",
+        "np.where(wrapped >= np.pi, -np.pi, wrapped)",
+        "wrapped",
+        tests=("tests/property/test_geometry.py", "tests/unit/test_types.py"),
+    ),
+]
