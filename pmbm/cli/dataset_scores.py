@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from pmbm.datasets import Dataset
+from pmbm.cli.track import looked_back
+from pmbm.datasets import Dataset, with_origins
 from pmbm.datasets.frames import Comparison
 from pmbm.errors import InputError, nearest_hint
 from pmbm.metrics import Evaluation, MetricValue, combine
@@ -25,7 +27,9 @@ from pmbm.metrics.kitti import KittiScene
 from pmbm.metrics.scene import Scene, make_scene, pair_overlap
 from pmbm.metrics.trackeval import SimilarScene
 from pmbm.metrics.waymo import WaymoScene, waymo_overlap
-from pmbm.types import FloatArray
+from pmbm.study import ConfiguredTracker, follow
+from pmbm.tracking import SHIPPED_BOUNDS, ByLabel, joined_tracks, run
+from pmbm.types import FloatArray, Label, Recording, TrackSequence
 
 Scores = dict[str, float | None]
 
@@ -72,6 +76,47 @@ def score_sequence(
 ) -> Evaluation:
     """One sequence of one class, by a rule."""
     return rule_of(dataset_name, rule).score(dataset.compared(sequence, kind, results), kind)
+
+
+def score_run(
+    dataset_name: str,
+    dataset: Dataset,
+    sequence: str,
+    trackers: Mapping[Label, ConfiguredTracker],
+    rule: str | None,
+    mode: str = "online",
+    recording: Recording | None = None,
+) -> dict[str, Evaluation]:
+    """One sequence tracked, written in the dataset's format and scored: class -> its scores.
+
+    recording : the sequence without its truth, where it has been read before.
+    A bound sees the truth, with the detections' origins by overlap.
+    """
+    if any(one.factory in SHIPPED_BOUNDS for one in trackers.values()):
+        tracks = _bounded(with_origins(dataset.recording(sequence)), trackers)
+    else:
+        recording = recording or dataset.recording(sequence, truth=False)
+        if mode == "batch":
+            tracks = looked_back(recording, trackers)
+        else:
+            tracks = run(ByLabel(trackers, recording.site), recording)
+    with tempfile.TemporaryDirectory() as folder:
+        dataset.write(sequence, tracks, Path(folder))
+        return {
+            kind: score_sequence(dataset_name, dataset, sequence, kind, Path(folder), rule)
+            for kind in dataset.classes
+        }
+
+
+def _bounded(recording: Recording, bounds: Mapping[Label, ConfiguredTracker]) -> TrackSequence:
+    """Every label's objects by that label's bound, under their true ids."""
+    found = {label: follow(bound, recording) for label, bound in bounds.items()}
+    steps = []
+    for reports in zip(*(each.steps for each in found.values()), strict=True):
+        own = [r.take(r.label == label) for label, r in zip(found, reports, strict=True)]
+        ids = [i for tracks in own for i in tracks.id.tolist()]
+        steps.append(joined_tracks(reports[0].time, own, ids))
+    return replace(next(iter(found.values())), steps=tuple(steps))
 
 
 def _similar(

@@ -64,12 +64,13 @@ def command(
         parts = {name: by.scores([scored[kind, name]]) for name in names} if each else {}
         table[kind] = {"all": whole, **parts}
     if json_file is not None:
-        _write_json(json_file, {"dataset": dataset_name, "rule": by.says, "scores": table})
+        write_json(json_file, {"dataset": dataset_name, "rule": by.says, "scores": table})
     if json_file != "-":
         _show(f"{dataset_name}: {by.says}", table)
 
 
-def _write_json(file: str, figures: Mapping[str, object]) -> None:
+def write_json(file: str, figures: Mapping[str, object]) -> None:
+    """Figures into a file, or to standard output as "-"."""
     from pmbm.datasets.files import replace_text
 
     text = json.dumps(figures, indent=1, allow_nan=False)

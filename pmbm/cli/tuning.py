@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pmbm.baselines import fit_statistics
-from pmbm.cli.dataset_scores import rule_of, score_sequence
-from pmbm.cli.track import class_trackers, looked_back, preset
+from pmbm.cli.dataset_scores import rule_of, score_run
+from pmbm.cli.track import class_trackers, preset
 from pmbm.datasets import Dataset, open_dataset, with_origins
 from pmbm.errors import InputError, nearest_hint
 from pmbm.metrics import Evaluation, combine
@@ -17,7 +17,6 @@ from pmbm.metrics.catalogue import definition
 from pmbm.study import ConfiguredTracker, Estimate, Source, estimate
 from pmbm.study.summary import paired
 from pmbm.study.trial import score_tracker
-from pmbm.tracking import ByLabel, run
 from pmbm.tune import REPORTING_SEQUENCES, refuse_reserved_sequences
 from pmbm.types import Label, Recording
 
@@ -248,17 +247,10 @@ def _score_sequence(
     rule: str | None,
     mode: str,
 ) -> Evaluation:
-    """One sequence, tracked, written in the dataset's format and scored."""
-    import tempfile
-
+    """One sequence of the one class."""
     trackers = {Label(dataset.labels[0]): tracker}
-    if mode == "batch":
-        tracks = looked_back(recording, trackers)
-    else:
-        tracks = run(ByLabel(trackers, recording.site), recording)
-    with tempfile.TemporaryDirectory() as folder:
-        dataset.write(sequence, tracks, Path(folder))
-        return score_sequence(name, dataset, sequence, dataset.classes[0], Path(folder), rule)
+    (scored,) = score_run(name, dataset, sequence, trackers, rule, mode, recording).values()
+    return scored
 
 
 def _more_is_better(metric: str, direction: str) -> bool:

@@ -1,5 +1,6 @@
 """Monte Carlo studies: trials, their statistics, and runs that survive anything."""
 
+from pmbm.study.bootstrap import Difference, bootstrap_difference
 from pmbm.study.configured import ConfiguredTracker, follow
 from pmbm.study.parallel import run_trials
 from pmbm.study.results import StudyResults, export, load_results
@@ -12,6 +13,7 @@ from pmbm.study.trial import Source, StepTime, TrialResult, run_trial
 __all__ = [
     "Cell",
     "ConfiguredTracker",
+    "Difference",
     "Estimate",
     "Progress",
     "Source",
@@ -20,6 +22,7 @@ __all__ = [
     "StudyResults",
     "Summary",
     "TrialResult",
+    "bootstrap_difference",
     "estimate",
     "export",
     "follow",

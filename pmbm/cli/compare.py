@@ -1,0 +1,247 @@
+"""`pmbm compare`: several trackers over a dataset's sequences, and who is better by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmbm.cli.many import ManyValues
+from pmbm.cli.track import FOLDER
+
+if TYPE_CHECKING:
+    from pmbm.cli.dataset_scores import Rule, Scores
+    from pmbm.datasets import Dataset
+    from pmbm.metrics import Evaluation
+    from pmbm.study import ConfiguredTracker, Difference
+    from pmbm.types import Label
+
+WITHOUT_POSES = ", no poses"
+Runs = dict[str, dict[str, "list[Evaluation]"]]
+"""Class -> tracker -> what every sequence scored."""
+
+
+@click.command(cls=ManyValues)
+@click.argument("dataset_name", metavar="DATASET")
+@click.option("--root", type=FOLDER, required=True, help="The dataset's folder, with its truth.")
+@click.option("--detections", required=True, metavar="PATH", help="As for pmbm track.")
+@click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
+@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
+@click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")
+@click.option(
+    "--trackers",
+    multiple=True,
+    metavar="NAME...",
+    help="The first is compared with each; clairvoyant knows the truth, and bounds them.  "
+    "[default: pmbm argoverse waymo probabilistic_kf clairvoyant]",
+)
+@click.option(
+    "--published",
+    is_flag=True,
+    help="Trackers at their own defaults, not with what ships for them on this dataset.",
+)
+@click.option(
+    "--ego-motion", is_flag=True, help="Also each tracker without the poses: what they are worth."
+)
+@click.option("--metric", help="One of the rule's, to compare by.  [default: its first]")
+@click.option("--rule", help="One of the dataset's own.  [default: its first]")
+@click.option(
+    "--resamples", type=click.IntRange(min=100), default=10_000, show_default=True,
+    help="Of the sequences, for the intervals.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
+@click.option("--markdown", metavar="FILE|-", help="Write the tables as Markdown.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+def command(
+    dataset_name: str,
+    root: Path,
+    detections: str,
+    poses: Path | None,
+    classes: tuple[str, ...],
+    sequences: tuple[str, ...],
+    trackers: tuple[str, ...],
+    published: bool,
+    ego_motion: bool,
+    metric: str | None,
+    rule: str | None,
+    resamples: int,
+    seed: int,
+    json_file: str | None,
+    markdown: str | None,
+    jobs: int,
+) -> None:
+    """Run trackers over DATASET frame by frame, score them by its own rules, and compare the first
+    with each other one, class by class: paired differences, their 95 % intervals by a bootstrap
+    over sequences.  Labels are read for scoring and by the clairvoyant alone.
+
+    \b
+    Example:
+      pmbm compare kitti --root kitti --detections 'kitti/detections/pointrcnn_{class}' \\
+        --poses kitti/pose --sequences 0006 0008 --trackers pmbm argoverse clairvoyant
+    """
+    from pmbm.cli.dataset_scores import rule_of
+    from pmbm.cli.evaluate import write_json
+    from pmbm.datasets import open_dataset
+    from pmbm.datasets.files import replace_text
+    from pmbm.errors import InputError, nearest_hint
+
+    by = rule_of(dataset_name, rule)
+    metric = metric or next(iter(by.shown))
+    if metric not in by.shown:
+        hint = nearest_hint(metric, by.shown, "metric")
+        raise InputError(f"the rule has no '{metric}'", field="--metric", hint=hint)
+    options: dict[str, Any] = {"root": root, "detections": detections, "classes": classes or None}
+    dataset = open_dataset(dataset_name, **options, poses=poses)
+    names = list(dict.fromkeys(sequences)) or dataset.sequences()
+    entries = _configured(dataset, dataset_name, list(dict.fromkeys(trackers)), published)
+    runs = _run(dataset_name, dataset, names, entries, rule, jobs)
+    if ego_motion:
+        if poses is None:
+            raise InputError("without poses there is nothing to leave out", field="--poses")
+        standing = open_dataset(dataset_name, **options)
+        for kind, found in _run(dataset_name, standing, names, entries, rule, jobs).items():
+            runs[kind] |= {f"{name}{WITHOUT_POSES}": each for name, each in found.items()}
+    tables = [_table(kind, found, by, metric, resamples, seed) for kind, found in runs.items()]
+    title = f"{dataset_name}: {by.says}, online, sequences {' '.join(names)}"
+    if json_file is not None:
+        figures = {one.kind: one.figures() for one in tables}
+        write_json(json_file, {"dataset": dataset_name, "rule": by.says, "compared": figures})
+    text = _markdown(title, tables, metric, resamples)
+    if markdown not in (None, "-"):
+        replace_text(Path(str(markdown)), text)
+    if json_file != "-":
+        click.echo(text, nl=False)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """One class: every tracker's scores, and by one metric the first less each other one, or of one
+    without poses, itself with them less that."""
+
+    kind: str
+    scores: Mapping[str, Scores]
+    differences: Mapping[str, Difference]
+
+    def figures(self) -> dict[str, Any]:
+        compared = {
+            name: {"difference": one.value, "low": one.low, "high": one.high}
+            for name, one in self.differences.items()
+        }
+        return {"scores": dict(self.scores), "less it": compared}
+
+
+def _configured(
+    dataset: Dataset, dataset_name: str, names: Sequence[str], published: bool
+) -> dict[str, dict[Label, ConfiguredTracker]]:
+    """Every tracker for every class; bounds have the model of what ships for our own tracker."""
+    from pmbm.cli.track import class_trackers, preset
+    from pmbm.filter import PMBMTracker
+    from pmbm.study import ConfiguredTracker
+    from pmbm.tracking import SHIPPED_BOUNDS
+    from pmbm.types import Site
+
+    def shipped(tracker: str) -> dict[Label, ConfiguredTracker]:
+        file = None if published else preset(dataset_name, tracker)
+        return class_trackers(dataset, tracker, file)
+
+    def bound(name: str, like: ConfiguredTracker) -> ConfiguredTracker:
+        tracker = like(Site())
+        assert isinstance(tracker, PMBMTracker)
+        same = ("spectral_density", "measurement_sd")
+        model = tuple((key, getattr(tracker.config, key)) for key in same)
+        return ConfiguredTracker(name, model)
+
+    chosen = names or ("pmbm", "argoverse", "waymo", "probabilistic_kf", "clairvoyant")
+    return {
+        name: {label: bound(name, like) for label, like in shipped("pmbm").items()}
+        if name in SHIPPED_BOUNDS
+        else shipped(name)
+        for name in chosen
+    }
+
+
+def _run(
+    dataset_name: str,
+    dataset: Dataset,
+    names: Sequence[str],
+    entries: Mapping[str, Mapping[Label, ConfiguredTracker]],
+    rule: str | None,
+    jobs: int,
+) -> Runs:
+    from pmbm.cli.dataset_scores import score_run
+    from pmbm.cli.track import spread
+
+    keys = [(tracker, name) for tracker in entries for name in names]
+    tasks = [(dataset_name, dataset, name, entries[tracker], rule) for tracker, name in keys]
+    scored = dict(zip(keys, spread(score_run, tasks, jobs, "runs"), strict=True))
+    return {
+        kind: {tracker: [scored[tracker, name][kind] for name in names] for tracker in entries}
+        for kind in dataset.classes
+    }
+
+
+def _table(
+    kind: str,
+    runs: Mapping[str, list[Evaluation]],
+    by: Rule,
+    metric: str,
+    resamples: int,
+    seed: int,
+) -> _Table:
+    from pmbm.study import bootstrap_difference
+
+    first, *others = runs
+    name = by.shown[metric]
+
+    def against(other: str) -> list[Evaluation]:
+        return runs[other.removesuffix(WITHOUT_POSES) if other.endswith(WITHOUT_POSES) else first]
+
+    return _Table(
+        kind=kind,
+        scores={tracker: by.scores(found) for tracker, found in runs.items()},
+        differences={
+            other: bootstrap_difference(
+                against(other), runs[other], name, resamples=resamples, seed=seed
+            )
+            for other in others
+        },
+    )
+
+
+def _markdown(title: str, tables: Sequence[_Table], metric: str, resamples: int) -> str:
+    from reports.tables import markdown_table
+
+    first = next(iter(tables[0].scores))
+    bare = any(name.endswith(WITHOUT_POSES) for name in tables[0].scores)
+    lines = [
+        f"{title}. The last column: {metric} of {first} less that of the row, 95 % interval of "
+        f"{resamples} paired resamples of the sequences"
+        + (f"; for a row '{WITHOUT_POSES[2:]}', of the same tracker with them." if bare else "."),
+    ]
+    for table in tables:
+        columns = list(next(iter(table.scores.values())))
+        rows = [
+            [name, *(_cell(scores[key]) for key in columns), _words(table.differences.get(name))]
+            for name, scores in table.scores.items()
+        ]
+        header = [table.kind, *columns, f"{metric} of {first} less it"]
+        lines += ["", markdown_table(header, rows, 1)]
+    return "\n".join(lines) + "\n"
+
+
+def _words(one: Difference | None) -> str:
+    if one is None:
+        return ""
+    if one.value is None or one.low is None or one.high is None:
+        return "undefined"
+    return f"{one.value:+.4f} [{one.low:+.4f}, {one.high:+.4f}]"
+
+
+def _cell(value: float | None) -> str:
+    if value is None:
+        return "–"
+    return str(value) if isinstance(value, int) else f"{value:.4f}"
