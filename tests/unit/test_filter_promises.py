@@ -1,0 +1,134 @@
+"""What the tracker promises to stand, where no other test shows it.
+
+In test_filter_tracker.py: bad numbers and bad times refused, two looks at one moment, 1000 empty
+frames, copies of detections, objects in one place, extreme beliefs (P_D and scores of 0 and 1, no
+clutter), gaps, uneven frames, 10,000 detections in one frame, order, moved and turned worlds,
+causality, nothing random, copies in mid-run, long runs.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+import pytest
+from test_filter_tracker import drive, equal, frame
+
+from pmbm.filter import PMBMConfig, PMBMTracker
+from pmbm.types import Site
+
+
+TURNED = 0.02
+"""Largest change of a position, m, and of a probability: bearings are cut in steps."""
+
+
+def wellformed(tracker):
+    """Every number of the density is one, and covariances are covariances."""
+    density = tracker.density
+    local = density.local
+    for values in (local.existence, local.mean, local.cov, density.hypotheses.log_weight):
+        assert np.isfinite(values).all()
+    assert ((local.existence >= 0) & (local.existence <= 1)).all()
+    assert not np.isnan(density.undetected.log_weight).any()
+    for cov in (local.cov, density.undetected.cov):
+        np.testing.assert_allclose(cov, cov.transpose(0, 2, 1), rtol=1e-12, atol=1e-12)
+        assert np.linalg.eigvalsh(cov).min(initial=0) >= -1e-9
+    probability = density.hypothesis_probability()
+    assert ((probability >= 0) & (probability <= 1 + 1e-9)).all()
+    return density
+
+
+@pytest.mark.parametrize("gate", [20.0, 1e9])
+@pytest.mark.parametrize("clutter", [5.0, 0.0])
+def test_likelihoods_of_1e_minus_400(gate, clutter):
+    """A detection 60 sd from the only track: its likelihood is below the smallest number there is.
+    It is a new object or clutter, whatever the gate lets through, and the track stays."""
+    config = PMBMConfig(gate=gate, clutter_rate=clutter, measurement_sd=0.05, spectral_density=0.01)
+    tracker = PMBMTracker(config)
+    for k in range(20):
+        tracks = tracker.step(frame(0.1 * k, [[5.0, 0.0]]))
+    assert len(tracks) == 1
+    sd = math.sqrt(tracks.covariance[0, 0, 0] + 0.05**2)
+    far = 5.0 + 60 * sd
+    assert 0.5 * 60**2 / math.log(10) > 400
+    after = tracker.step(frame(2.0, [[far, 0.0]]))
+    density = wellformed(tracker)
+    at = after.position[after.id == tracks.id[0]]
+    assert len(at) == 1
+    assert at[0, 0] == pytest.approx(5.0, abs=0.2)
+    assert density.local.existence.max() > 0.9
+
+
+def test_covariances_that_are_nearly_singular():
+    """Micrometre measurements of objects that may move at 1000 m/s, over steps of a microsecond."""
+    config = PMBMConfig(measurement_sd=1e-6, birth_speed_sd=1e3, spectral_density=1e-12)
+    tracker = PMBMTracker(config)
+    rng = np.random.default_rng(1)
+    for k in range(30):
+        z = rng.normal([[1.0, 2.0], [1.0 + 1e-5, 2.0]], 1e-6)
+        tracker.step(frame(1e-6 * k if k < 15 else 10.0 + k, z))
+        wellformed(tracker)
+
+
+def test_objects_that_coincide_are_bounded_work_and_the_caps_are_told(monkeypatch):
+    """A dozen detections in one place, again and again: more hypotheses than are to be kept."""
+    monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", 400)
+    config = PMBMConfig(max_hypotheses=20, prune_hypothesis=0.0, initial_objects=20.0)
+    tracker = PMBMTracker(config)
+    rng = np.random.default_rng(0)
+    capped = 0
+    for k in range(4):
+        tracker.step(frame(0.1 * k, rng.normal([10.0, 5.0], 0.3, (12, 2))))
+        density = wellformed(tracker)
+        seen = tracker.inspect().reduced
+        capped += seen.hypotheses_capped
+        assert np.bincount(density.hypotheses.cluster).max(initial=0) <= 20
+    assert capped > 0
+
+
+def test_more_tracks_than_may_be_kept_is_told():
+    rng = np.random.default_rng(0)
+    tracker = PMBMTracker(PMBMConfig(max_tracks=50, clutter_rate=50.0, recycle_below=0.0))
+    tracker.step(frame(0.0, rng.uniform(-70, 70, (300, 2))))
+    assert tracker.inspect().reduced.tracks_capped > 100
+    assert len(np.unique(tracker.density.local.track)) <= 50
+    wellformed(tracker)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7, -2.4])
+def test_a_moved_and_turned_world_hides_the_same(turn):
+    """Objects behind each other and behind a wall."""
+    shift = np.array([400.0, -150.0])
+    rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    wall = np.array([[12.0, -6.0], [14.0, -6.0], [14.0, 2.0], [12.0, 2.0]])
+    config = PMBMConfig(occlusion=True)
+    here = PMBMTracker(config, Site(max_range=70.0, occluders=(wall,)))
+    there = PMBMTracker(config, Site(max_range=70.0, occluders=(wall @ rotation.T + shift,)))
+    reported = 0
+    for one in drive(9, frames=30, objects=8):
+        n = len(one)
+        x = here.step(one)
+        xy = one.position[:, :2] @ rotation.T + shift
+        y = there.step(frame(one.time, xy, yaw=np.full(n, turn), pose=(*shift, turn)))
+        assert x.id.tolist() == y.id.tolist()
+        reported += len(x)
+        np.testing.assert_allclose(
+            y.position[:, :2], x.position[:, :2] @ rotation.T + shift, rtol=0, atol=TURNED
+        )
+        np.testing.assert_allclose(y.score, x.score, rtol=0, atol=TURNED)
+    assert reported > 50
+    seen = here.inspect().looked.visible
+    assert (seen < 0.9).any()
+
+
+def test_a_tracker_that_was_asked_is_copied_like_any_other():
+    """Also with the map of the unseen, whose ground is kept between steps."""
+    frames = drive(6, frames=8)
+    tracker = PMBMTracker(PMBMConfig(undetected_detail=4.0, history=3), Site(max_range=40.0))
+    for one in frames[:4]:
+        tracker.step(one)
+        tracker.inspect()
+    twin = copy.deepcopy(tracker)
+    for one in frames[4:]:
+        equal(tracker.step(one), twin.step(one))
