@@ -156,19 +156,20 @@ nb::tuple best_children(Input<std::int64_t> cluster, Input<double> log_weight,
                         Input<std::int64_t> row, Input<std::int64_t> measurement,
                         Input<double> pair_log_weight, Input<double> log_missed,
                         Input<double> log_new, Input<std::int64_t> cluster_of,
-                        Input<double> allowed, double margin) {
+                        Input<std::int64_t> allowed, double margin, double log_threshold) {
     pmbm::ChildrenOf found;
     {
         nb::gil_scoped_release released;
         found = pmbm::best_children(
             view(cluster, log_weight, start, member), pairs(row, measurement, pair_log_weight),
             log_missed.data(), static_cast<std::int64_t>(log_missed.size()), log_new.data(),
-            cluster_of.data(), static_cast<std::int64_t>(log_new.size()), allowed.data(), margin);
+            cluster_of.data(), static_cast<std::int64_t>(log_new.size()), allowed.data(), margin,
+            log_threshold);
     }
     return nb::make_tuple(hand_over(std::move(found.parent)),
                           hand_over(std::move(found.log_weight)),
                           hand_over(std::move(found.taker)), hand_over(std::move(found.entry)),
-                          hand_over(std::move(found.pair)));
+                          hand_over(std::move(found.pair)), found.dropped);
 }
 
 nb::tuple extended(Input<std::int64_t> cluster, Input<double> log_weight,

@@ -19,6 +19,7 @@ from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
 from pmbm.filter.models import Sensor
 from pmbm.filter.scan import Scan
+from pmbm.filter.weights import likely, log_of, normalised
 from pmbm.types import FloatArray
 
 LOG_TINY = -700.0
@@ -77,10 +78,12 @@ class Children:
     """Global hypotheses after the scan, N rows sorted by cluster.
 
     parent (N,) : row of `Association.parents`.
-    log_weight (N,) : log w_parent plus the log weight of everything that the child says.
+    log_weight (N,) : from w_parent and everything that the child says; the weights of one cluster's
+        children add up to one.
     taker (t,), entry (t,), pair (t,) : child `taker` lets the member `entry` of its parent take the
         measurement of pair `pair`.  Members that take nothing are missed; measurements of the
         parent's cluster that nobody takes are new objects or clutter.
+    dropped : how many children were too unlikely to be kept.
     """
 
     parent: Index
@@ -88,6 +91,7 @@ class Children:
     taker: Index
     entry: Index
     pair: Index
+    dropped: int
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -126,13 +130,13 @@ def associate(
     *,
     gate_threshold: float,
     max_hypotheses: int,
-    margin: float = math.inf,
+    negligible: float = 0.0,
     clustering: bool = True,
 ) -> Association:
     """Gate, price and rank the association hypotheses of a scan.
 
-    A parent of weight w has at most ceil(`max_hypotheses` w) children, its best, and none whose log
-    weight is more than `margin` below that of its best.
+    A parent of weight w has at most ceil(`max_hypotheses` w) children, its best.  Those that weigh
+    up to `negligible` of its best child, or of its cluster, would be pruned and are not kept.
     """
     local, table, z = density.local, density.hypotheses, scan.position
     detection, detection_if_seen = sensor.of_tracks(local)
@@ -165,7 +169,7 @@ def associate(
     else:
         parents, cluster = table, np.zeros(len(z), np.intp)
         allowed = np.full(parents.clusters, max_hypotheses)
-    children = _children(parents, cluster, known, log_missed, log_new, allowed, margin)
+    children = _children(parents, cluster, known, log_missed, log_new, allowed, negligible)
     return Association(
         parents,
         cluster,
@@ -228,20 +232,27 @@ def _children(
     log_missed: FloatArray,
     log_new: FloatArray,
     allowed: Index,
-    margin: float,
+    negligible: float,
 ) -> Children:
-    """The best children of every parent; one of weight w has at most ceil(`allowed` w), of its
-    cluster's (C,).
+    """The best children of every parent; one of weight w has at most ceil(`allowed` w), where
+    `allowed` (C,) is for each cluster.
 
     The log weight of a child is that of its parent with all tracks missed and all measurements
     new, plus, for every track that takes a measurement, what taking it gains over that.
     """
-    each = allowed[parents.cluster].astype(np.float64)
+    log_negligible = log_of(negligible)
     if compiled.native is not None:
         pairs = known.row, known.measurement, known.log_weight
         return Children(
             *compiled.native.best_children(
-                *parents.columns(), *pairs, log_missed, log_new, cluster, each, margin
+                *parents.columns(),
+                *pairs,
+                log_missed,
+                log_new,
+                cluster,
+                allowed,
+                -log_negligible,
+                log_negligible,
             )
         )
     row_of_entry = parents.row_of_member()
@@ -263,19 +274,25 @@ def _children(
     new_row = np.ones(len(order), bool)
     new_row[1:] = (parent[1:] != parent[:-1]) | (measurement[1:] != measurement[:-1])
     gain = known.log_weight - log_missed[known.row] - log_new[known.measurement]
+    quota = np.ceil(allowed[parents.cluster] * np.exp(parents.log_weight) - 1e-9)
     best = k_best_choices(
         np.cumsum(new_row) - 1,
         entry,
         -gain[pair],
         first_row=starts(np.bincount(parent[new_row], minlength=len(parents))),
         first_column=parents.start,
-        ks=np.ceil(each * np.exp(parents.log_weight) - 1e-9).clip(1).astype(np.intp),
-        margin=margin,
+        ks=quota.clip(1).astype(np.intp),
+        margin=-log_negligible,
     )
+    of_child = parents.cluster[best.problem]
+    log_weight = normalised(base[best.problem] - best.cost, of_child)
+    kept = likely(log_weight, of_child, negligible)
+    uses = kept[best.way]
     return Children(
-        best.problem,
-        base[best.problem] - best.cost,
-        best.way,
-        entry[best.option],
-        pair[best.option],
+        best.problem[kept],
+        log_weight if kept.all() else normalised(log_weight[kept], of_child[kept]),
+        (np.cumsum(kept) - 1)[best.way[uses]],
+        entry[best.option[uses]],
+        pair[best.option[uses]],
+        int((~kept).sum()),
     )

@@ -12,7 +12,7 @@ from pmbm.filter.clusters import factor, merge_equal, row_limit, split
 from pmbm.filter.density import Density, Globals, Index, Mixture, Origin, starts, summed
 from pmbm.filter.gating import near
 from pmbm.filter.gaussian import moments
-from pmbm.filter.update import normalised
+from pmbm.filter.weights import likely, log_of, normalised
 
 _FEW = 20
 _ALIKE = 1.0
@@ -63,8 +63,8 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
     cap = np.full(table.clusters, limits.max_hypotheses)
     if limits.clustering:
         cap = row_limit(table, limits.max_hypotheses)
-    kept_rows, likely = _pruned(table, limits.prune_hypothesis, cap)
-    pruned, over = len(table) - likely, likely - len(kept_rows)
+    kept_rows, above = _pruned(table, limits.prune_hypothesis, cap)
+    pruned, over = len(table) - above, above - len(kept_rows)
     density = replace(density, hypotheses=kept_rows)
 
     density, recycled, tracks_capped, returned = _recycle(density, limits)
@@ -80,7 +80,7 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
     density = _compact(density)
 
     ppp = Mixture.joined(density.undetected, returned) if len(returned) else density.undetected
-    kept = ppp.take(np.flatnonzero(ppp.log_weight > _log(limits.prune_undetected)))
+    kept = ppp.take(np.flatnonzero(ppp.log_weight > log_of(limits.prune_undetected)))
     joined, settled = kept, density.undetected_settled
     if len(kept) > 2 * settled + _FEW:
         # Merging takes longer than what it saves until the mixture has grown.
@@ -102,35 +102,21 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
     )
 
 
-def _log(value: float) -> float:
-    return float(np.log(value)) if value > 0 else -np.inf
-
-
 def _pruned(table: Globals, threshold: float, cap: Index) -> tuple[Globals, int]:
     """The likely rows, at most `cap` (C,) of each cluster, and how many were likely."""
     if compiled.native is not None:
-        kept, likely = compiled.native.prune(*table.columns(), _log(threshold), cap)
-        return Globals(*kept), likely
-    above = _likely(table, threshold)
+        kept, above = compiled.native.prune(*table.columns(), log_of(threshold), cap)
+        return Globals(*kept), above
+    above = likely(table.log_weight, table.cluster, threshold)
     return _keep(table, _best(table, above, cap)), int(above.sum())
 
 
-def _likely(table: Globals, threshold: float) -> np.ndarray:
-    """(G,) whether the weight exceeds the threshold; a cluster's best row always stays."""
-    likely = table.log_weight > _log(threshold)
-    if not likely.all():
-        first = np.flatnonzero(np.diff(table.cluster, prepend=-1))
-        top = np.maximum.reduceat(table.log_weight, first)
-        likely |= table.log_weight == top[table.cluster]
-    return likely
-
-
-def _best(table: Globals, likely: np.ndarray, cap: Index) -> np.ndarray:
-    """(G,) the heaviest of the likely rows of each cluster, `cap` (C,) of them."""
-    rows = np.flatnonzero(likely)
+def _best(table: Globals, above: np.ndarray, cap: Index) -> np.ndarray:
+    """(G,) the heaviest of the rows above the threshold of each cluster, `cap` (C,) of them."""
+    rows = np.flatnonzero(above)
     count = np.bincount(table.cluster[rows], minlength=table.clusters)
     if (count <= cap).all():
-        return likely
+        return above
     order = rows[np.lexsort((-table.log_weight[rows], table.cluster[rows]))]
     rank = np.arange(len(order)) - (np.cumsum(count) - count)[table.cluster[order]]
     best = np.zeros(len(table), bool)

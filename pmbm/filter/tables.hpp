@@ -68,13 +68,48 @@ struct PairsView {
 struct ChildrenOf {
     Ints parent, taker, entry, pair;
     Floats log_weight;
+    std::int64_t dropped = 0;
+
+    // The children from `first` on, of uses from `first_use` on, are all of a cluster: their weights
+    // are made to add up to one, and those of a share up to the threshold are dropped.
+    void close_cluster(std::size_t first, std::size_t first_use, double log_threshold) {
+        const auto end = parent.size();
+        normalise(log_weight.data(), static_cast<std::int64_t>(first),
+                  static_cast<std::int64_t>(end));
+        if (end - first < 2) return;
+        const double top = *std::max_element(log_weight.begin() + static_cast<long>(first),
+                                             log_weight.end());
+        auto kept = first, use = first_use, kept_use = first_use;
+        for (auto child = first; child < end; ++child) {
+            const bool stays = log_weight[child] > log_threshold || log_weight[child] == top;
+            for (; use < taker.size() && taker[use] == static_cast<std::int64_t>(child); ++use) {
+                if (!stays) continue;
+                taker[kept_use] = static_cast<std::int64_t>(kept);
+                entry[kept_use] = entry[use];
+                pair[kept_use++] = pair[use];
+            }
+            if (!stays) continue;
+            parent[kept] = parent[child];
+            log_weight[kept++] = log_weight[child];
+        }
+        if (kept == end) return;
+        dropped += static_cast<std::int64_t>(end - kept);
+        parent.resize(kept);
+        log_weight.resize(kept);
+        taker.resize(kept_use);
+        entry.resize(kept_use);
+        pair.resize(kept_use);
+        normalise(log_weight.data(), static_cast<std::int64_t>(first),
+                  static_cast<std::int64_t>(kept));
+    }
 };
 
-// _children(): the best children of every parent.  `allowed` is for each row.
+// _children(): the best children of every parent; `allowed` is for each cluster.
 inline ChildrenOf best_children(const TableView& parents, const PairsView& known,
                                 const double* log_missed, std::int64_t locals,
                                 const double* log_new, const std::int64_t* cluster_of,
-                                std::int64_t measurements, const double* allowed, double margin) {
+                                std::int64_t measurements, const std::int64_t* allowed,
+                                double margin, double log_threshold) {
     Ints first_pair(static_cast<std::size_t>(locals) + 1, 0);
     for (std::int64_t p = 0; p < known.count; ++p) ++first_pair[known.row[p] + 1];
     for (std::int64_t i = 0; i < locals; ++i) first_pair[i + 1] += first_pair[i];
@@ -89,7 +124,7 @@ inline ChildrenOf best_children(const TableView& parents, const PairsView& known
     Floats cost, costs;
     ChildrenOf found;
     KBest solver;
-    for (std::int64_t g = 0; g < parents.rows; ++g) {
+    const auto find = [&](std::int64_t g) {
         const auto begin = parents.start[g], end = parents.start[g + 1];
         double missed = 0;
         options.clear();
@@ -107,6 +142,7 @@ inline ChildrenOf best_children(const TableView& parents, const PairsView& known
         row.clear();
         column.clear();
         cost.clear();
+        costs.clear();
         std::int64_t rows = 0;
         for (std::size_t i = 0; i < options.size(); ++i) {
             const auto& o = options[i];
@@ -116,26 +152,32 @@ inline ChildrenOf best_children(const TableView& parents, const PairsView& known
             const double missing = log_missed[parents.member[o.entry]];
             cost.push_back(-(known.log_weight[o.pair] - missing - log_new[o.measurement]));
         }
-        const double quota = std::ceil(allowed[g] * std::exp(parents.log_weight[g]) - 1e-9);
-        const auto before = found.taker.size();
-        const auto count = solver.choose(
-            {row.data(), column.data(), cost.data(), static_cast<std::int64_t>(options.size()), 0,
-             0, rows, 0, end - begin},
-            std::max<std::int64_t>(1, static_cast<std::int64_t>(quota)), margin, costs,
-            found.taker, found.pair);
+        const auto cluster = parents.cluster[g];
+        const double quota =
+            std::ceil(static_cast<double>(allowed[cluster]) * std::exp(parents.log_weight[g]) -
+                      1e-9);
+        const auto before = found.taker.size(), children = found.parent.size();
+        solver.choose({row.data(), column.data(), cost.data(),
+                       static_cast<std::int64_t>(options.size()), 0, 0, rows, 0, end - begin},
+                      std::max<std::int64_t>(1, static_cast<std::int64_t>(quota)), margin, costs,
+                      found.taker, found.pair);
         for (auto i = before; i < found.pair.size(); ++i) {
             const auto& option = options[static_cast<std::size_t>(found.pair[i])];
+            found.taker[i] += static_cast<std::int64_t>(children);
             found.entry.push_back(option.entry);
             found.pair[i] = option.pair;
         }
-        const double base =
-            parents.log_weight[g] + missed + new_by_cluster[parents.cluster[g]];
-        for (auto child = costs.size() - static_cast<std::size_t>(count); child < costs.size();
-             ++child) {
+        const double base = parents.log_weight[g] + missed + new_by_cluster[cluster];
+        for (const auto one : costs) {
             found.parent.push_back(g);
-            found.log_weight.push_back(base - costs[child]);
+            found.log_weight.push_back(base - one);
         }
-    }
+    };
+    parents.each_cluster([&](std::int64_t, std::int64_t first, std::int64_t last) {
+        const auto child = found.parent.size(), use = found.taker.size();
+        for (auto g = first; g < last; ++g) find(g);
+        found.close_cluster(child, use, log_threshold);
+    });
     return found;
 }
 
@@ -180,16 +222,10 @@ inline Table extended(const TableView& parents, const ChildrenView& children,
         for (auto i = first_use; i < use; ++i) taken[known.measurement[children.pair[i]]] = 0;
         table.close_row(cluster, children.log_weight[child]);
     }
-    const TableView view{table.cluster.data(), table.start.data(), table.member.data(),
-                         table.log_weight.data(),
-                         static_cast<std::int64_t>(table.log_weight.size())};
-    view.each_cluster([&](std::int64_t, std::int64_t first, std::int64_t last) {
-        normalise(table.log_weight.data(), first, last);
-    });
     return table;
 }
 
-// _likely(), _best() and _keep(): the rows above the threshold, at most `cap` of each cluster, and
+// likely(), _best() and _keep(): the rows above the threshold, at most `cap` of each cluster, and
 // its best one in any case.  `likely` is how many were above the threshold.
 inline Table pruned(const TableView& table, double log_threshold, const std::int64_t* cap,
                     std::int64_t& likely) {

@@ -122,14 +122,18 @@ class PMBMTracker:
             sensor,
             gate_threshold=config.gate,
             max_hypotheses=config.max_hypotheses,
-            margin=-math.log(config.prune_hypothesis) if config.prune_hypothesis else math.inf,
+            negligible=config.prune_hypothesis,
             clustering=config.clustering,
         )
         clock.read("associate")
         updated = update(predicted, scan, association, sensor)
         clock.read("update")
         self.density, reduced = reduce(updated, self._limits())
-        self.reduced = replace(reduced, undetected_dropped=dropped)
+        self.reduced = replace(
+            reduced,
+            hypotheses_pruned=reduced.hypotheses_pruned + association.children.dropped,
+            undetected_dropped=dropped,
+        )
         clock.read("reduce")
         self._time, self._seconds = detections.time, clock.seconds
         self._before = predicted, sensor

@@ -1,9 +1,9 @@
 """Box 3 of 4, the PMBM update (Pang & Radha 2021, Sec. 2.6; Williams 2015, Sec. IV).
 
 case                          existence                   state
-undetected, PPP component     w <- (1 - P_D) w            unchanged
+undetected, PPP component     w <- (1 - P_D) w            unchanged, rather hidden
 first detection by z          e / (lambda_c + e)          moment-matched Kalman updates
-known track, missed           r (1 - P_D) / (1 - r P_D)   unchanged
+known track, missed           r (1 - P_D) / (1 - r P_D)   unchanged, rather hidden
 known track, detected         1                           Kalman update
 """
 
@@ -30,6 +30,7 @@ from pmbm.filter.gaussian import corrected, corrected_cov, corrected_mean, gain,
 from pmbm.filter.models import Sensor
 from pmbm.filter.resumption import ids_of_new
 from pmbm.filter.scan import Scan
+from pmbm.filter.weights import normalised
 from pmbm.types import FloatArray
 
 
@@ -60,7 +61,7 @@ def update(density: Density, scan: Scan, association: Association, sensor: Senso
 
 def _hypotheses(association: Association, H: int) -> Globals:
     """The children as global hypotheses over the candidates: rows 0..H-1 missed, then the pairs,
-    then the new tracks; weights of each cluster add up to one."""
+    then the new tracks."""
     parents, children = association.parents, association.children
     if compiled.native is not None:
         made = children.parent, children.log_weight, children.taker, children.entry, children.pair
@@ -107,21 +108,10 @@ def _hypotheses(association: Association, H: int) -> Globals:
     member = np.concatenate([candidate, H + n + measurement[unclaimed]])[order]
     return Globals(
         cluster,
-        normalised(children.log_weight, cluster),
+        children.log_weight,
         starts(np.bincount(child, minlength=len(members))),
         member,
     )
-
-
-def normalised(log_weight: FloatArray, cluster: Index) -> FloatArray:
-    """Log weights (G,) that add up to one within each cluster (G,), which is sorted."""
-    if not len(log_weight):
-        return log_weight
-    first = np.flatnonzero(np.diff(cluster, prepend=-1))
-    count = np.diff(first, append=len(cluster))
-    top = np.repeat(np.maximum.reduceat(log_weight, first), count)
-    total = np.add.reduceat(np.exp(log_weight - top), first)
-    return log_weight - top - np.repeat(np.log(total), count)
 
 
 def _still_undetected(ppp: Mixture, association: Association) -> Mixture:

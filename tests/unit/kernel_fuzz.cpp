@@ -196,8 +196,8 @@ void fuzz_tables() {
     Scene scene;
     const auto locals = scene.locals();
     const auto clusters = view(scene.table).clusters();
-    pmbm::Ints cluster_of, row, measurement;
-    pmbm::Floats weight, missed, fresh, allowed;
+    pmbm::Ints cluster_of, row, measurement, allowed;
+    pmbm::Floats weight, missed, fresh;
     for (int m = clusters ? whole(0, 8) : 0; m > 0; --m) {
         cluster_of.push_back(whole(0, static_cast<int>(clusters) - 1));
         fresh.push_back(-5 * chance());
@@ -212,13 +212,14 @@ void fuzz_tables() {
         }
     }
     fuzz_joins(scene, row, measurement, static_cast<std::int64_t>(cluster_of.size()));
-    allowed.assign(scene.table.cluster.size(), whole(1, 60));
+    allowed.assign(static_cast<std::size_t>(clusters), whole(1, 60));
     const pmbm::PairsView known{row.data(), measurement.data(), weight.data(),
                                 static_cast<std::int64_t>(row.size())};
     const auto scans = static_cast<std::int64_t>(cluster_of.size());
     const auto children =
         pmbm::best_children(view(scene.table), known, missed.data(), locals, fresh.data(),
-                            cluster_of.data(), scans, allowed.data(), chance() < 0.5 ? 4 : kInf);
+                            cluster_of.data(), scans, allowed.data(), chance() < 0.5 ? 4 : kInf,
+                            chance() < 0.5 ? -4 : -kInf);
     const auto made = pmbm::extended(
         view(scene.table),
         {children.parent.data(), children.taker.data(), children.entry.data(),
