@@ -6,6 +6,7 @@ Objects and tracks are matched by the standard CLEAR rule.  Times are in seconds
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,35 +101,67 @@ class OcclusionMeasures:
     hidden: int
 
 
-def occlusion_measures(scene: Scene, matches: Matches, frames: int = 5) -> OcclusionMeasures:
-    """Follow every object through each spell of at least `frames` consecutive unobservable rows
-    between two observable ones."""
-    truth, tracks = scene.truth, scene.tracks
+@dataclass(frozen=True, slots=True)
+class Occlusion:
+    """One object out of sight for a while.
+
+    rows : of the scene's truth, one per hidden frame.
+    begin, end : time of its last row in sight before, and of its first one after, s.
+    before, after : index of the track that last matched it before, and first after; None: none did.
+    """
+
+    rows: IntArray
+    begin: float
+    end: float
+    before: int | None
+    after: int | None
+
+    @property
+    def kept(self) -> bool:
+        """Whether it came back under its old id."""
+        return self.before is not None and self.after == self.before
+
+
+def occlusions(scene: Scene, matches: Matches, frames: int = 5) -> Iterator[Occlusion]:
+    """Every object's spells of at least `frames` consecutive unobservable rows between two
+    observable ones, object by object."""
+    truth = scene.truth
     track_of_row = np.full(len(truth), -1)
-    track_of_row[matches.truth] = tracks.index[matches.track]
+    track_of_row[matches.truth] = scene.tracks.index[matches.track]
+    order = truth.by_object
+    for rows in np.split(order, np.flatnonzero(np.diff(truth.index[order])) + 1):
+        for begin, end in _hidden_spells(truth.observable[rows], frames):
+            before, after = track_of_row[rows[:begin]], track_of_row[rows[end:]]
+            before, after = before[before >= 0], after[after >= 0]
+            yield Occlusion(
+                rows=rows[begin:end],
+                begin=float(scene.time[truth.frame[rows[begin - 1]]]),
+                end=float(scene.time[truth.frame[rows[end]]]),
+                before=int(before[-1]) if len(before) else None,
+                after=int(after[0]) if len(after) else None,
+            )
+
+
+def occlusion_measures(scene: Scene, matches: Matches, frames: int = 5) -> OcclusionMeasures:
+    """Follow every object through each of its `occlusions`."""
+    truth, tracks = scene.truth, scene.tracks
     row_of_report = {
         (int(frame), int(index)): row
         for row, (frame, index) in enumerate(zip(tracks.frame, tracks.index, strict=True))
     }
     kept = lost = untracked = hidden = 0
     errors: list[float] = []
-    order = truth.by_object
-    for rows in np.split(order, np.flatnonzero(np.diff(truth.index[order])) + 1):
-        for begin, end in _hidden_spells(truth.observable[rows], frames):
-            before = track_of_row[rows[:begin]]
-            after = track_of_row[rows[end:]]
-            before, after = before[before >= 0], after[after >= 0]
-            if len(before) == 0:
-                untracked += 1
-                continue
-            same = len(after) > 0 and after[0] == before[-1]
-            kept, lost = kept + same, lost + (not same)
-            hidden += end - begin
-            for row in rows[begin:end]:
-                report = row_of_report.get((int(truth.frame[row]), int(before[-1])))
-                if report is not None:
-                    offset = tracks.position[report, :2] - truth.position[row, :2]
-                    errors.append(float(np.hypot(*offset)))
+    for spell in occlusions(scene, matches, frames):
+        if spell.before is None:
+            untracked += 1
+            continue
+        kept, lost = kept + spell.kept, lost + (not spell.kept)
+        hidden += len(spell.rows)
+        for row in spell.rows:
+            report = row_of_report.get((int(truth.frame[row]), spell.before))
+            if report is not None:
+                offset = tracks.position[report, :2] - truth.position[row, :2]
+                errors.append(float(np.hypot(*offset)))
     return OcclusionMeasures(
         kept=kept,
         lost=lost,
