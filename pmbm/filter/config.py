@@ -187,7 +187,10 @@ class PMBMConfig:
     @classmethod
     def paper(cls, **changes: Any) -> PMBMConfig:
         """The three deviations of Pang & Radha (2021, Sec. 2.6) from the textbook: scores in the
-        first detection, P_D from past scores, and misses that scale existence and weight."""
+        first detection, P_D from past scores, and misses that scale existence and weight.
+
+        What each does on its own is measured by `studies/preset_options.toml`; docs/presets.md.
+        """
         return cls(**{**_TEXTBOOK, **_PAPER, **changes})
 
 
