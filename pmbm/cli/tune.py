@@ -57,9 +57,10 @@ _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mod
     "parameter.  [default: the shipped trackers have one each]",
 )
 @click.option(
-    "--fit-noise",
+    "--fit",
+    "fitted",
     is_flag=True,
-    help="First fit the noise of probabilistic_kf to what it is tuned on.",
+    help="First fit what is no search: of pmbm what scores say, of probabilistic_kf its noise.",
 )
 @click.option(
     "--recordings",
@@ -101,7 +102,7 @@ def command(
     config: Path | None,
     metric: str | None,
     space_file: Path | None,
-    fit_noise: bool,
+    fitted: bool,
     recordings: int,
     held_back: int,
     trials: int,
@@ -155,7 +156,7 @@ def command(
                 seed,
                 recordings,
                 spread,
-                fit_noise=fit_noise,
+                fitted=fitted,
             )
         else:
             problem = Logged.of(
@@ -169,7 +170,7 @@ def command(
                 rule=rule,
                 mode=mode,
                 spread=spread,
-                fit_noise=fit_noise,
+                fitted=fitted,
             )
             space = _space(problem.tracker, space_file, config)
         present = _present(problem.tracker, space)

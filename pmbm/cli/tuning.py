@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pmbm.baselines import fit_statistics
 from pmbm.cli.dataset_scores import rule_of, score_run
+from pmbm.cli.fitting import fitted_tracker
 from pmbm.cli.track import class_trackers, preset
 from pmbm.datasets import Dataset, open_dataset, with_origins
 from pmbm.errors import InputError, nearest_hint
@@ -54,11 +54,11 @@ class Simulated:
         count: int,
         spread: Spread = map,
         *,
-        fit_noise: bool = False,
+        fitted: bool = False,
     ) -> Simulated:
         """Trials 0 to `count` - 1 of a seed, of each source.
 
-        fit_noise : give the tracker the noise that the recordings show.
+        fitted : with what can be fitted to these recordings, see `pmbm.cli.fitting`.
 
         Raises InputError for an unknown metric, or for one of which neither more nor less is
         better.
@@ -69,7 +69,7 @@ class Simulated:
         return cls(
             sources=tuple(sources),
             recordings=recordings,
-            tracker=_with_noise(tracker, recordings) if fit_noise else tracker,
+            tracker=fitted_tracker(tracker, recordings) if fitted else tracker,
             metric=metric,
             maximise=maximise,
             where=f"{names} ({count} recordings each, seed {seed})",
@@ -141,11 +141,11 @@ class Logged:
         rule: str | None = None,
         mode: str = "online",
         spread: Spread = map,
-        fit_noise: bool = False,
+        fitted: bool = False,
     ) -> Logged:
         """Sequences of a dataset; all but those for reporting where none is named.
 
-        fit_noise : give the tracker the noise that the sequences' labels show.
+        fitted : with what can be fitted to these sequences' labels, see `pmbm.cli.fitting`.
 
         Raises InputError for sequences that are kept for reporting, and for what is unknown.
         """
@@ -166,9 +166,9 @@ class Logged:
             sequence for sequence in dataset.sequences() if sequence not in reserved
         ]
         recordings = {each: dataset.recording(each, truth=False) for each in names}
-        if fit_noise:
+        if fitted:
             labelled = (with_origins(dataset.recording(each)) for each in names)
-            tracker = _with_noise(tracker, labelled, label)
+            tracker = fitted_tracker(tracker, labelled, label)
         # Which way is better is said with a score.
         first = _score_sequence(name, dataset, names[0], recordings[names[0]], tracker, rule, mode)
         maximise = _more_is_better(metric, first[by.shown[metric]].direction)
@@ -207,31 +207,6 @@ class Logged:
     def document(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """The file that holds these parameters, in the table of the class."""
         return {self.dataset.classes[0]: {**dict(self.tracker.parameters), **parameters}}
-
-
-def _with_noise(
-    tracker: ConfiguredTracker, recordings: Iterable[Recording], label: Label | None = None
-) -> ConfiguredTracker:
-    """The probabilistic Kalman filter with the variances that recordings show, of one label or of
-    all, to the digits that a file shows.
-
-    Raises InputError for a tracker that takes none, and where a label is seen too seldom.
-    """
-    fitted = fit_statistics(recordings)
-    if not fitted or (label is not None and label not in fitted):
-        raise InputError("too few detections of true objects to fit noise to", field="--fit-noise")
-    noise = {
-        one.name: {
-            part: [float(f"{value:.4g}") for value in getattr(variances, part)]
-            for part in ("initial", "process", "measurement")
-        }
-        for one, variances in fitted.items()
-        if label in (None, one)
-    }
-    merged = {**dict(tracker.parameters), "noise": noise}
-    found = ConfiguredTracker(tracker.factory, tuple(merged.items()))
-    found.bound()
-    return found
 
 
 def _score(recording: Recording, tracker: ConfiguredTracker, metric: str) -> float | None:

@@ -1,5 +1,6 @@
 """Tuning finds what is better, is repeatable, and keeps its hands off what is reported on."""
 
+import dataclasses
 import math
 import re
 import shutil
@@ -7,10 +8,12 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pmbm.baselines import fit_statistics
 from pmbm.cli import main
+from pmbm.cli.fitting import fitted_tracker
 from pmbm.cli.sources import resolve
 from pmbm.cli.track import class_trackers
 from pmbm.cli.tune import _present
@@ -18,6 +21,7 @@ from pmbm.cli.tuning import Simulated
 from pmbm.datasets import open_dataset
 from pmbm.errors import InputError
 from pmbm.filter import PMBMConfig
+from pmbm.score import ScoreModel
 from pmbm.study import ConfiguredTracker, run_trials, summarise
 from pmbm.study.file import load_study
 from pmbm.tune import (
@@ -32,7 +36,7 @@ from pmbm.tune import (
     refuse_reserved_sequences,
     tune,
 )
-from pmbm.types import Label, Site
+from pmbm.types import CLUTTER, Label, Site
 from sim.toml_door import toml_text
 
 SAMPLE = Path(__file__).parents[1] / "data" / "kitti"
@@ -262,7 +266,7 @@ def test_the_file_is_one_that_track_and_studies_take(scene, tmp_path, capsys):
 
 def test_noise_is_fitted_to_what_is_tuned_on(scene, tmp_path, capsys):
     out = tmp_path / "kf.toml"
-    options = ("--recordings", 2, "--trials", 2, "--held-back", 2, "--fit-noise", "--out", out)
+    options = ("--recordings", 2, "--trials", 2, "--held-back", 2, "--fit", "--out", out)
     assert pmbm(scene, "--tracker", "probabilistic_kf", *options) == 0
     noise = tomllib.loads(out.read_text())["noise"]
     source = resolve(str(scene), {})
@@ -274,8 +278,26 @@ def test_noise_is_fitted_to_what_is_tuned_on(scene, tmp_path, capsys):
     tracked = class_trackers(dataset, "probabilistic_kf", out)[Label.CAR](Site())
     assert tracked.config.noise_of(Label.CAR).measurement.tolist() == noise["CAR"]["measurement"]
     capsys.readouterr()
-    found = refusal(capsys, scene, "--tracker", "argoverse", "--fit-noise")
-    assert "no parameter 'noise'" in found
+    found = refusal(capsys, scene, "--tracker", "argoverse", "--fit")
+    assert "nothing of 'argoverse' can be fitted" in found
+
+
+def test_what_scores_say_is_fitted_to_what_is_tuned_on(scene):
+    source = resolve(str(scene), {})
+    recordings = [source.record(1, trial) for trial in range(3)]
+    tracker = fitted_tracker(ConfiguredTracker("pmbm", (("gate", 18.0),)), recordings)
+    config = tracker(Site()).config
+    assert (config.gate, config.scores) == (18.0, "ignore")
+    score = np.concatenate([d.score for r in recordings for d in r.detections])
+    true = np.concatenate([o != CLUTTER for r in recordings for o in r.origin])
+    model = ScoreModel.fit_isotonic(score, true)
+    np.testing.assert_allclose(config.kinds.score.log_odds, model.log_odds, rtol=1e-4)
+    assert 0 < config.kinds.birth[-1] < config.kinds.birth[0]
+    # What it says goes through a file.
+    again = tomllib.loads(toml_text(dict(tracker.parameters)))
+    assert ConfiguredTracker("pmbm", tuple(again.items()))(Site()).config.kinds.score.scale
+    with pytest.raises(InputError, match="origin"):
+        fitted_tracker(tracker, [dataclasses.replace(recordings[0], origin=None)])
 
 
 def test_gains_are_those_of_a_study_on_the_same_trials(scene):

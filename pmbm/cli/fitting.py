@@ -1,0 +1,91 @@
+"""What of a tracker is fitted to recordings and not searched for: noise, and what scores say."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+
+from pmbm.baselines import fit_statistics
+from pmbm.errors import InputError
+from pmbm.filter.marks import Kinds
+from pmbm.score import ScoreModel
+from pmbm.study import ConfiguredTracker
+from pmbm.types import CLUTTER, Label, Recording
+
+_GHOSTS: Final = 0.3
+"""Share of new sources that are taken for persistent clutter; results hardly depend on it."""
+
+
+def fitted_tracker(
+    tracker: ConfiguredTracker, recordings: Iterable[Recording], label: Label | None = None
+) -> ConfiguredTracker:
+    """The tracker with what recordings of known origins show, of one label or of all: of the
+    probabilistic Kalman filter its variances, of the PMBM filter what a score says, and that
+    clutter may persist.
+
+    Raises InputError for other trackers, and where there is too little to fit to.
+    """
+    fits = {"probabilistic_kf": _noise, "pmbm": _scores}
+    if tracker.factory not in fits:
+        raise InputError(
+            f"nothing of '{tracker.factory}' can be fitted",
+            field="--fit",
+            expected=f"--tracker {' or '.join(fits)}",
+        )
+    found = fits[tracker.factory](recordings, label)
+    fitted = ConfiguredTracker(
+        tracker.factory, tuple({**dict(tracker.parameters), **found}.items())
+    )
+    fitted.bound()
+    return fitted
+
+
+def _noise(recordings: Iterable[Recording], label: Label | None) -> dict[str, Any]:
+    fitted = fit_statistics(recordings)
+    if not fitted or (label is not None and label not in fitted):
+        raise InputError("too few detections of true objects to fit noise to", field="--fit")
+    return {
+        "noise": {
+            one.name: _plain(variances) for one, variances in fitted.items() if label in (None, one)
+        }
+    }
+
+
+def _scores(recordings: Iterable[Recording], label: Label | None) -> dict[str, Any]:
+    score, true, mistaken = [np.zeros(0)], [np.zeros(0, bool)], [np.zeros(0, bool)]
+    for recording in recordings:
+        if recording.origin is None:
+            raise InputError("the origin of the detections is unknown", field="--fit")
+        for detections, origin, frame in zip(
+            recording.detections, recording.origin, recording.frame.tolist(), strict=True
+        ):
+            own = label is None or detections.label == label
+            rows = np.flatnonzero(np.broadcast_to(own, len(detections)))
+            real = rows[origin[rows] != CLUTTER]
+            score.append(detections.score[rows])
+            true.append(origin[rows] != CLUTTER)
+            of_truth = recording.truth[frame].label[origin[real]]
+            mistaken.append(detections.label[real] != of_truth)
+    wrong = np.concatenate(mistaken)
+    kinds = Kinds.simple(
+        ghosts=_GHOSTS,
+        score=ScoreModel.fit_isotonic(np.concatenate(score), np.concatenate(true)),
+        mislabelled=float((wrong.sum() + 1) / (len(wrong) + 2)),
+    )
+    return {"scores": "ignore", "kinds": _plain(kinds)}
+
+
+def _plain(value: Any) -> Any:
+    """As a file has it: dataclasses as tables, arrays as lists, to the digits that matter; shares
+    in full, since they have to add up."""
+    if dataclasses.is_dataclass(value):
+        return {
+            field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+        }
+    if isinstance(value, np.ndarray):
+        adds_up = np.allclose(value.sum(axis=-1), 1.0) if value.size else False
+        return value.tolist() if adds_up else [float(f"{x:.5g}") for x in value.tolist()]
+    return value
