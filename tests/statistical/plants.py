@@ -45,8 +45,8 @@ class Plant:
         return text.replace(self.old, self.new)
 
 
-def _filter(name: str, file: str, old: str, new: str) -> Plant:
-    return Plant(name, f"pmbm/filter/{file}.py", old, new)
+def _filter(name: str, file: str, old: str, new: str, by: str = "") -> Plant:
+    return Plant(name, f"pmbm/filter/{file}.py", old, new, by)
 
 
 PLANTS = [
@@ -56,24 +56,28 @@ PLANTS = [
         "    possible = log_weight > -np.inf\n",
         "    log_weight = log_weight + 0.25 * (y * y).sum(axis=1)\n"
         "    possible = log_weight > -np.inf\n",
+        by="tests/unit/test_filter_exact.py::test_an_update_is_bayes_rule_over_all_associations[0]",
     ),
     _filter(
         "undetected times P_D",
         "update",
         "ppp.log_weight + np.log1p(-detection)",
         "ppp.log_weight + np.log(detection)",
+        by="tests/unit/test_filter_exact.py::test_undetected_intensity_shrinks_by_the_missed_share",
     ),
     _filter(
         "no clutter outside the birth gate",
         "association",
         "np.maximum(np.logaddexp(log_first, log_clutter), LOG_TINY)",
         "np.where(log_first > -np.inf, np.logaddexp(log_first, log_clutter), LOG_TINY)",
+        by="tests/unit/test_filter_exact.py::test_a_measurement_far_from_all_births_may_still_be_clutter",
     ),
     _filter(
         "misses of the parent dropped",
         "association",
         "        + summed(log_missed[parents.member], row_of_entry, len(parents))\n",
         "",
+        by="tests/unit/test_filter_exact.py::test_an_update_is_bayes_rule_over_all_associations[0]",
     ),
     _filter(
         "a lone measurement is no clutter",
@@ -81,18 +85,21 @@ PLANTS = [
         "    best = k_best_choices(\n",
         "    gain = gain + 50.0 * (np.bincount(known.measurement)[known.measurement] == 1)\n"
         "    best = k_best_choices(\n",
+        by="tests/unit/test_filter_exact.py::test_clusters_on_and_off_give_the_same_density[0]",
     ),
     _filter(
         "recycled with the hypotheses' weight alone",
         "reduction",
         "probability[rows] * local.existence[rows]",
         "probability[rows]",
+        by="tests/unit/test_filter_exact.py::test_recycling_keeps_the_expected_number_of_objects[True]",
     ),
     _filter(
         "recycled with r alone",
         "reduction",
         "probability[rows] * local.existence[rows]",
         "local.existence[rows]",
+        by="tests/unit/test_filter_exact.py::test_recycling_keeps_the_expected_number_of_objects[True]",
     ),
     _filter(
         "a pruned Bernoulli takes its hypotheses along",
@@ -103,18 +110,21 @@ PLANTS = [
         "        table = _keep(table, ~hit)\n"
         "        staying = np.ones(len(table.member), bool)\n"
         "    before = starts(staying.astype(np.intp))\n",
+        by="tests/unit/test_filter_exact.py::test_hypotheses_that_become_equal_add_their_weights",
     ),
     _filter(
         "no largest of an empty pool",
         "association",
         "        if not len(pairs.row):\n            return np.full(len(z), -np.inf)\n",
         "",
+        by="tests/unit/test_filter_exact.py::test_a_crowd_in_one_cluster_does_bounded_work",
     ),
     _filter(
         "existence overwritten before its weight",
         "models",
         "        left = 1 - r * P_D\n",
         "        r = r * (1 - P_D) / np.maximum(1 - r * P_D, 1e-300)\n        left = 1 - r * P_D\n",
+        by="tests/unit/test_filter_exact.py::test_an_update_is_bayes_rule_over_all_associations[0]",
     ),
     _filter(
         "time stops in empty frames",
@@ -127,6 +137,7 @@ PLANTS = [
         "update",
         "detections_seen=density.detections_seen + len(scan)",
         "detections_seen=len(density.track_id) + len(scan)",
+        by="tests/unit/test_filter_tracker.py::test_ids_are_never_used_again",
     ),
     _filter(
         "Q in the order x, vx, y, vy",
@@ -134,6 +145,7 @@ PLANTS = [
         "    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**2 / 2\n",
         "    Q = np.diag([dt**3 / 3, dt, dt**3 / 3, dt])\n"
         "    Q[0, 1] = Q[1, 0] = Q[2, 3] = Q[3, 2] = dt**2 / 2\n",
+        by="tests/unit/test_filter_models.py::test_process_noise_is_the_continuous_one[0.05]",
     ),
     _filter(
         "Q of the discrete form",
@@ -142,30 +154,35 @@ PLANTS = [
         "    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**2 / 2\n",
         "    Q = np.diag([dt**4 / 4, dt**4 / 4, dt**2, dt**2])\n"
         "    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**3 / 2\n",
+        by="tests/unit/test_filter_models.py::test_process_noise_is_the_continuous_one[0.05]",
     ),
     _filter(
         "sign of the log determinant",
         "gaussian",
         "-_LOG_2PI - np.log(self.l11) - np.log(self.l22)",
         "-_LOG_2PI + np.log(self.l11) + np.log(self.l22)",
+        by="tests/unit/test_filter_exact.py::test_an_update_is_bayes_rule_over_all_associations[0]",
     ),
     _filter(
         "P_S whatever the interval",
         "models",
         "    return survival ** (dt / interval)",
         "    return survival",
+        by="tests/unit/test_filter_models.py::test_predicting_twice_is_predicting_once",
     ),
     _filter(
         "births whatever the interval",
         "models",
         "rate * (dt if mu == 0 else -math.expm1(-mu * dt) / mu)",
         "rate * interval",
+        by="tests/unit/test_filter_models.py::test_predicting_twice_is_predicting_once",
     ),
     _filter(
         "merged hypotheses lose weight",
         "clusters",
         "    log_weight[kept] = top + np.log(np.add.reduceat(weight, first))\n",
         "    log_weight[kept] = top\n",
+        by="tests/unit/test_filter_exact.py::test_hypotheses_that_become_equal_add_their_weights",
     ),
     _filter(
         "equal rows by a hash that knows no zero",
@@ -387,5 +404,25 @@ PLANTS = [
         "np.where(wrapped >= np.pi, -np.pi, wrapped)",
         "wrapped",
         tests=("tests/property/test_geometry.py", "tests/unit/test_types.py"),
+    ),
+    _filter(
+        "a covariance that cancels",
+        "gaussian",
+        "corrected[:, :2, :2] = R - ",
+        "_ = R - ",
+    ),
+    Plant(
+        "who is hidden is named for the one that hides it",
+        "pmbm/filter/inspection.py",
+        "hides = (target != body) & ~around[body]",
+        "hides = ~around[body]",
+        tests=("tests/unit/test_filter_inspection.py",),
+    ),
+    Plant(
+        "a miss told as a detection",
+        "pmbm/filter/story.py",
+        '"missed" if missing > 0.5 else "detected"',
+        '"detected" if missing > 0.5 else "missed"',
+        tests=("tests/unit/test_filter_inspection.py",),
     ),
 ]
