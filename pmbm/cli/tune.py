@@ -114,8 +114,8 @@ def command(
     the defaults on recordings of another seed; or search on a dataset's sequences by its own rule.
     Seeds and sequences that are kept for reporting are refused.
 
-    The file that it writes is for `pmbm track --config`; in a study file its lines belong under
-    [tracker.NAME.parameters].
+    The file that it writes is for `pmbm track --config`; a study file names it as
+    `config` under [tracker.NAME].
 
     \b
     Examples:

@@ -25,6 +25,9 @@ class TrackerForm(_Form):
     """A tracker with parameters, under a name of its own."""
 
     factory: str = Field(description="a shipped tracker, or MODULE:FACTORY")
+    config: str | None = Field(
+        default=None, description="a TOML file of parameters, beside this one; those here go first"
+    )
     parameters: dict[str, Any] = {}
 
 
@@ -107,7 +110,7 @@ def _study(form: StudyForm, file: Path, resolve: Resolve) -> Study:
             scenario=name,
             point=point,
             source=resolve(_beside(name, file), _world(point)),
-            trackers={tracker: _tracker(tracker, form, point) for tracker in form.trackers},
+            trackers={t: _tracker(t, form.tracker.get(t), file, point) for t in form.trackers},
         )
         for name in form.scenarios
         for point in design
@@ -141,10 +144,12 @@ def _world(point: Point) -> Point:
     return {key: value for key, value in point.items() if not key.startswith(_TRACKER)}
 
 
-def _tracker(name: str, form: StudyForm, point: Point) -> ConfiguredTracker:
-    written = form.tracker.get(name)
+def _tracker(name: str, written: TrackerForm | None, file: Path, point: Point) -> ConfiguredTracker:
     factory = name if written is None else written.factory
-    parameters = {} if written is None else dict(written.parameters)
+    parameters: dict[str, Any] = {}
+    if written is not None:
+        stored = {} if written.config is None else _document(file.parent / written.config)
+        parameters = {**stored, **written.parameters}
     own = f"{_TRACKER}{name}."
     parameters |= {key[len(own) :]: v for key, v in point.items() if key.startswith(own)}
     return ConfiguredTracker(factory, tuple(sorted(parameters.items())))
@@ -178,15 +183,18 @@ def _beside(name: str, file: Path) -> str:
     return str(file.parent / name) if name.endswith(".toml") else name
 
 
-def _parse(file: Path) -> StudyForm:
+def _document(file: Path) -> dict[str, Any]:
     try:
-        document = tomllib.loads(file.read_text(encoding="utf-8"))
+        return tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"cannot read it: {error.strerror}", file=file) from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"not TOML: {error}", file=file) from error
+
+
+def _parse(file: Path) -> StudyForm:
     try:
-        return StudyForm.model_validate(document)
+        return StudyForm.model_validate(_document(file))
     except ValidationError as error:
         problems = error.errors(include_url=False)
     # Unknown keys first: a mistyped key is also a missing one.

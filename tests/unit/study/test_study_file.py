@@ -257,3 +257,20 @@ def test_parameters_reach_the_factory():
 
 def test_the_schema_is_json():
     assert "scenarios" in json.loads(json.dumps(json_schema()))["required"]
+
+
+def test_parameters_from_a_file_of_their_own(tmp_path):
+    (tmp_path / "tuned.toml").write_text("gate = 18.0\nclutter_rate = 3.0\n")
+    text = (
+        'scenarios = ["convoy"]\ntrackers = ["tight"]\n'
+        '[tracker.tight]\nfactory = "pmbm"\nconfig = "tuned.toml"\nparameters = { gate = 9.0 }\n'
+    )
+    study = load(tmp_path, text)
+    config = study.cells[0].trackers["tight"](Site()).config
+    assert (config.gate, config.clutter_rate) == (9.0, 3.0)
+    before = study.hash
+    (tmp_path / "tuned.toml").write_text("clutter_rate = 4.0\n")
+    assert load(tmp_path, text).hash != before
+    for bad, message in (("nowhere.toml", "cannot read it"), ("night.toml", "no parameter")):
+        with pytest.raises(InputError, match=message):
+            load(tmp_path, text.replace("tuned.toml", bad))
