@@ -23,7 +23,8 @@ _ALIKE = 1.0
 class Reduced:
     """What a reduction removed: global hypotheses pruned, capped and merged, local hypotheses
     recycled, and PPP components pruned, merged and capped; where the PPP is kept in detail, the
-    expected number of objects that left its map or were negligible."""
+    expected number of objects that left its map or were negligible; and pairs of a local hypothesis
+    and a measurement that the gate kept apart."""
 
     hypotheses_pruned: int = 0
     hypotheses_capped: int = 0
@@ -34,6 +35,7 @@ class Reduced:
     undetected_merged: int = 0
     undetected_capped: int = 0
     undetected_dropped: float = 0.0
+    pairs_gated: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,6 +133,7 @@ class PMBMTracker:
             reduced,
             hypotheses_pruned=reduced.hypotheses_pruned + association.children.dropped,
             undetected_dropped=dropped,
+            pairs_gated=len(predicted.local) * len(scan) - len(association.known.row),
         )
         clock.read("reduce")
         self._time, self._seconds = detections.time, clock.seconds

@@ -44,6 +44,16 @@ def test_the_tables_add_up_and_tell_the_history():
     assert seen.reduced.undetected_pruned >= 0
 
 
+def test_pairs_outside_the_gate_are_counted():
+    tracker = PMBMTracker()
+    tracker.step(frame(0.0, [[5, 0], [30, 0]]))
+    assert tracker.inspect().reduced.pairs_gated == 0
+    known = len(tracker.density.local)
+    tracker.step(frame(0.1, [[5.1, 0], [60, 0], [60, 30]]))
+    # Each of the three detections is in the gate of at most one place, two in that of none.
+    assert tracker.inspect().reduced.pairs_gated == 3 * known - known // 2
+
+
 def test_a_story_in_plain_words():
     tracker = PMBMTracker(PMBMConfig(history=3))
     for k in range(4):
