@@ -24,6 +24,7 @@ _COMMANDS = {
     "track": "A tracker over a real dataset, output in that dataset's format.",
     "metrics": "Which metric answers which question.",
     "evaluate": "Any tracker's output, by the rules of the dataset it was made on.",
+    "submit": "Results of many sequences as the one file that a benchmark takes.",
     "compare": "Several trackers over a dataset: who is better, by how much, and how surely.",
     "fit-detector": "A detector profile from labels and detections, and how well it fits.",
     "falsify": "Search a scenario for what breaks a tracker; keep the smallest that does.",

@@ -52,6 +52,9 @@ class Dataset(Protocol):
     def read(self, sequence: str, folder: Path) -> TrackSequence:
         """What `write` wrote, in the world."""
 
+    def submit(self, sequences: Sequence[str], folder: Path) -> Path:
+        """What `write` wrote of these sequences as the one file to hand in, in the same folder."""
+
     def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
         """Truth and a result of one class, as the dataset's own rules compare them."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -22,6 +22,7 @@ from pmbm.datasets.files import (
     read_json,
     replace_text,
     safe_name,
+    write_zip,
 )
 from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
@@ -152,6 +153,19 @@ class Argoverse1:
         truth = _read_all(labelled, named=True)
         results = self._results(sequence, timeline, folder)
         return log_comparison(timeline, truth, results, kind, _LABELS)
+
+    def submit(self, sequences: Sequence[str], folder: Path) -> Path:
+        """Pack the results of these logs into `folder`/submission.zip, a folder a log.
+
+        Raises InputError where a log lacks a result of a sweep, or has a bad one."""
+        members = {}
+        for sequence in sequences:
+            self._results(sequence, self._known_timeline(sequence), folder)
+            for path in self._files(Path(folder), sequence).values():
+                members[f"{sequence}/{_SWEEPS}/{path.name}"] = path
+        archive = Path(folder) / "submission.zip"
+        write_zip(archive, members)
+        return archive
 
     def _results(self, sequence: str, timeline: Timeline, folder: Path) -> list[list[Box]]:
         files = self._files(Path(folder), sequence)

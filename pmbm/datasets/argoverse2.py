@@ -160,6 +160,28 @@ class Argoverse2:
         write_columns(path, columns, {"frames": list(timeline.stamps)})
         return path
 
+    def submit(self, sequences: Sequence[str], folder: Path) -> Path:
+        """Join these logs' results into `folder`/submission.feather: the rows of the dataset's
+        own detection files (log_id, boxes in the vehicle's frame, score) with a track_uuid.
+
+        The official script scores Python objects, which would be run to be read: none is written.
+        Raises InputError where a log has no result, or a bad one."""
+        names = ("log_id", "track_uuid", "score", *_COMMON)
+        joined: dict[str, list[Any]] = {name: [] for name in names}
+        frames = {}
+        for sequence in sequences:
+            stamps, _ = self._results(sequence, folder)
+            frames[sequence] = list(stamps)
+            table = read_columns(
+                Path(folder) / f"{sequence}.feather", names[1:], parquet=False
+            ).values
+            for name in names[1:]:
+                joined[name] += table[name]
+            joined["log_id"] += [sequence] * len(table["score"])
+        path = Path(folder) / "submission.feather"
+        write_columns(path, joined, {"frames": frames})
+        return path
+
     def read(self, sequence: str, folder: Path) -> TrackSequence:
         """The tracks of `folder`/LOG.feather in the city's frame, a report for every frame listed
         in it."""

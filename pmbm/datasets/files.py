@@ -3,9 +3,11 @@ with its file, line or frame, object and field."""
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
+import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -229,6 +231,18 @@ def replace_bytes(path: Path, content: bytes) -> None:
         part.replace(path)
     except OSError as error:
         raise InputError(f"cannot write: {error.strerror}", file=path) from None
+
+
+def write_zip(path: Path, members: Mapping[str, Path]) -> None:
+    """Write the whole archive or none of it; equal files give equal bytes.
+
+    members : name in the archive -> file.
+    """
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, file in members.items():
+            archive.writestr(zipfile.ZipInfo(name), read_bytes(file), zipfile.ZIP_DEFLATED)
+    replace_bytes(path, buffer.getvalue())
 
 
 def _bounds(at_least: int | None, at_most: int | None) -> str:

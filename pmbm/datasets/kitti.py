@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from pmbm.datasets.files import Place, prepare_folder, replace_text
+from pmbm.datasets.files import Place, prepare_folder, replace_text, write_zip
 from pmbm.datasets.frames import (
     Comparison,
     SourceBoxes,
@@ -224,6 +224,16 @@ class Kitti:
             boxes,
             ids=[results.id[rows] for rows in _by_frame(results, frames)],
         )
+
+    def submit(self, sequences: Sequence[str], folder: Path) -> Path:
+        """Pack the results of these sequences into `folder`/submission.zip.
+
+        Raises InputError where a sequence has no result, or a bad one."""
+        for sequence in sequences:
+            self.results(sequence, folder)
+        path = Path(folder) / "submission.zip"
+        write_zip(path, {f"{name}.txt": Path(folder) / f"{name}.txt" for name in sequences})
+        return path
 
     def objects(self, sequence: str) -> KittiObjects:
         """The labels in the dataset's own terms."""

@@ -4,12 +4,15 @@ import json
 import math
 import os
 import shutil
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pmbm.cli import main
 from pmbm.datasets import load, open_dataset
+from pmbm.datasets.argoverse2 import Argoverse2
 from pmbm.errors import InputError
 from pmbm.types import Label, Tracks, TrackSequence
 
@@ -382,6 +385,71 @@ class TestNuScenes:
         shutil.copy(folder / "nuscenes" / "tracks.json", folder / "out" / "scene-0001.json")
         tracks = opened(folder, "nuscenes").read("scene-0001", folder / "out")
         assert [t.id.tolist() for t in tracks] == [[5], [], [5]]
+
+
+def submit(*arguments):
+    with pytest.raises(SystemExit) as stop:
+        main(["submit", *map(str, arguments)])
+    return stop.value.code
+
+
+class TestSubmit:
+    """Every dataset's results as one file, which holds what the results hold."""
+
+    def written(self, folder, name):
+        dataset = opened(folder, name)
+        dataset.write(SAMPLES[name][2], as_tracks(sample(folder, name)), folder / "out")
+        return dataset, ("--root", folder / name / SAMPLES[name][0], "--results", folder / "out")
+
+    def test_argoverse1(self, folder):
+        dataset, options = self.written(folder, "argoverse1")
+        assert submit("argoverse1", *options) == 0
+        with zipfile.ZipFile(folder / "out" / "submission.zip") as archive:
+            archive.extractall(folder / "again")
+        before, after = (dataset.read(LOG, folder / place) for place in ("out", "again"))
+        assert [t.id.tolist() for t in before] == [t.id.tolist() for t in after]
+
+    def test_argoverse2(self, folder):
+        dataset, options = self.written(folder, "argoverse2")
+        assert submit("argoverse2", *options) == 0
+        found = Argoverse2(
+            root=folder / "argoverse2/val", detections=str(folder / "out" / "submission.feather")
+        )
+        # It has the form of the dataset's detections: they come back where the tracks were.
+        for step, seen in zip(
+            dataset.read(LOG, folder / "out"), found.recording(LOG).detections, strict=True
+        ):
+            np.testing.assert_allclose(seen.position, step.position, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(seen.score, step.score)
+        (folder / "out" / f"{LOG}.feather").unlink()
+
+    def test_waymo_says_who(self, folder, capsys):
+        _, options = self.written(folder, "waymo")
+        assert submit("waymo", *options, "--method", "pmbm") == 2
+        assert "--account" in capsys.readouterr().err
+        assert submit("waymo", *options, "--method", "pmbm", "--account", "a@b.c") == 0
+        assert (folder / "out" / "submission.bin").stat().st_size > 100
+
+    def test_kitti(self, tmp_path, capsys):
+        shutil.copytree(DATA / "kitti", tmp_path / "kitti")
+        root, out = tmp_path / "kitti" / "training", tmp_path / "kitti" / "tracks"
+        options = ("--root", root, "--results", out, "--sequences", "0000")
+        assert submit("kitti", *options) == 0
+        with zipfile.ZipFile(out / "submission.zip") as archive:
+            assert archive.namelist() == ["0000.txt"]
+            assert archive.read("0000.txt") == (out / "0000.txt").read_bytes()
+        assert submit("kitti", *options, "--method", "pmbm") == 2
+        assert "--method" in capsys.readouterr().err
+
+    @pytest.mark.parametrize("name", ["argoverse1", "argoverse2", "nuscenes", "waymo"])
+    def test_a_missing_result_is_refused(self, folder, capsys, name):
+        _, options = self.written(folder, name)
+        shutil.rmtree(folder / "out")
+        (folder / "out").mkdir()
+        who = ("--method", "pmbm", "--account", "a@b.c") if name == "waymo" else ()
+        assert submit(name, *options, *who) == 2
+        assert "pmbm: " in capsys.readouterr().err
+        assert not list((folder / "out").iterdir())
 
 
 @pytest.mark.skipif("PMBM_DATA" not in os.environ, reason="PMBM_DATA is unset: no real logs")
