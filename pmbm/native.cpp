@@ -107,6 +107,19 @@ Output<double> log_density(Table<double> expected, Input<double> l11, Input<doub
                                        z.data(), z.shape(0), threshold));
 }
 
+Output<std::int64_t> resumed(Table<double> expected, Input<double> l11, Input<double> l21,
+                             Input<double> l22, Input<double> log_height,
+                             Input<std::int64_t> origin, Input<double> share, Table<double> z,
+                             double threshold, double most, Input<double> probability,
+                             Input<std::int64_t> known) {
+    std::vector<std::int64_t> origins;
+    std::vector<double> shares;
+    pmbm::explained(innovations(expected, l11, l21, l22), log_height.data(), origin.data(),
+                    share.data(), z.data(), z.shape(0), threshold, origins, shares);
+    return hand_over(pmbm::resumed(std::move(origins), shares, most, probability.data(),
+                                   known.data(), known.size()));
+}
+
 // Returns means (n,4) and covariances (n,4,4), flat.
 nb::tuple move(Table<double> mean, Table<double> cov, Table<double> F, Table<double> Q) {
     std::vector<double> means, covs;
@@ -268,6 +281,7 @@ NB_MODULE(_native, m) {
     m.def("gate", &gate, nb::arg("expected"), nb::arg("l11"), nb::arg("l21"), nb::arg("l22"),
           nb::arg("z"), nb::arg("threshold"));
     m.def("log_density", &log_density);
+    m.def("resumed", &resumed);
     m.def("move", &move);
     m.def("correct", &correct);
     m.def("fuse", &fuse);

@@ -1,5 +1,6 @@
 // Which measurements lie in the gate of which Gaussian, and what the undetected objects behind a
-// measurement look like.  The plain versions are gate() of gating.py and _fused() of update.py.
+// measurement look like.  The plain versions are gate() of gating.py, _fused() of update.py and what
+// is named beside each function.
 #pragma once
 
 #include <algorithm>
@@ -149,6 +150,81 @@ inline std::vector<double> log_density(const Innovations& g, const double* log_h
         if (sum[j] > 0) top[j] += std::log(sum[j]);
     }
     return top;
+}
+
+// _explained() of resumption.py: the origin, other than -1, that makes up most of each measurement's
+// density, and its share; -1 and 0 where there is none.
+inline void explained(const Innovations& g, const double* log_height, const std::int64_t* origin,
+                      const double* share_of_origin, const double* z, std::size_t measurements,
+                      double threshold, std::vector<std::int64_t>& origins,
+                      std::vector<double>& shares) {
+    struct Part {
+        std::int64_t measurement, origin;
+        double share;
+    };
+    const auto log_total = log_density(g, log_height, z, measurements, threshold);
+    std::vector<Part> parts;
+    each_gated(g, z, measurements, threshold,
+               [&](std::size_t i, std::int64_t j, double y0, double y1) {
+                   const double value = log_height[i] - 0.5 * (y0 * y0 + y1 * y1);
+                   if (origin[i] < 0 || !(value > -std::numeric_limits<double>::infinity())) return;
+                   parts.push_back(
+                       {j, origin[i], std::exp(value - log_total[j]) * share_of_origin[i]});
+               });
+    std::stable_sort(parts.begin(), parts.end(), [](const Part& a, const Part& b) {
+        return a.measurement != b.measurement ? a.measurement < b.measurement
+                                              : a.origin < b.origin;
+    });
+    origins.assign(measurements, -1);
+    shares.assign(measurements, 0.0);
+    for (std::size_t i = 0, end = 0; i < parts.size(); i = end) {
+        const auto j = static_cast<std::size_t>(parts[i].measurement);
+        double share = 0;
+        for (end = i; end < parts.size() && parts[end].measurement == parts[i].measurement &&
+                      parts[end].origin == parts[i].origin;
+             ++end) {
+            share += parts[end].share;
+        }
+        if (share < shares[j]) continue;
+        origins[j] = parts[i].origin;
+        shares[j] = share;
+    }
+}
+
+// _resumed() of resumption.py: of each measurement the origin that explains more than `most` of it,
+// or -1; not one of `known`, and each origin once, where probability (M,) times share is largest.
+inline std::vector<std::int64_t> resumed(std::vector<std::int64_t> origins,
+                                         const std::vector<double>& shares, double most,
+                                         const double* probability, const std::int64_t* known,
+                                         std::size_t known_count) {
+    struct Claim {
+        std::int64_t origin;
+        double strength;
+        std::size_t measurement;
+    };
+    std::vector<Claim> claims;
+    for (std::size_t j = 0; j < origins.size(); ++j) {
+        if (shares[j] > most) claims.push_back({origins[j], probability[j] * shares[j], j});
+        origins[j] = -1;
+    }
+    std::sort(claims.begin(), claims.end(), [](const Claim& a, const Claim& b) {
+        if (a.origin != b.origin) return a.origin < b.origin;
+        return a.strength != b.strength ? a.strength < b.strength : a.measurement < b.measurement;
+    });
+    for (std::size_t i = 0; i < claims.size(); ++i) {
+        const bool strongest = i + 1 == claims.size() || claims[i + 1].origin != claims[i].origin;
+        if (strongest) origins[claims[i].measurement] = claims[i].origin;
+    }
+    if (claims.empty()) return origins;
+    for (std::size_t t = 0; t < known_count; ++t) {
+        const auto at = std::upper_bound(
+            claims.begin(), claims.end(), known[t],
+            [](std::int64_t origin, const Claim& claim) { return origin < claim.origin; });
+        if (at != claims.begin() && (at - 1)->origin == known[t]) {
+            origins[(at - 1)->measurement] = -1;
+        }
+    }
+    return origins;
 }
 
 // A Kalman update but for the measurement: gain W for whitened innovations, and covariance after.

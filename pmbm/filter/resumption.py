@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pmbm import compiled
 from pmbm.filter.association import Association, Priced
-from pmbm.filter.density import Density, Index
+from pmbm.filter.density import Density, Index, Origin
 from pmbm.filter.scan import Scan
 from pmbm.types import ABSENT, FloatArray
 
@@ -29,29 +30,40 @@ def ids_of_new(
     one that it explains most probably.
     """
     ids = density.detections_seen + np.arange(len(scan))
-    track, explained = _explained(density, scan, association, new)
-    resumes = np.flatnonzero((explained > _MOST) & ~np.isin(track, density.track_id))
-    if len(resumes):
-        r = np.exp(association.log_first - association.log_new)[new[resumes]]
-        # The least probable first: of those that claim one id, the last stays.
-        order = resumes[np.argsort(r * explained[resumes], kind="stable")]
-        last = len(order) - 1 - np.unique(track[order[::-1]], return_index=True)[1]
-        ids[new[order[last]]] = track[order[last]]
+    origin = density.undetected.origin
+    if origin is not None and len(new):
+        resumed = _resumed(density, scan, association, origin, new)
+        ids[new] = np.where(resumed == ABSENT, ids[new], resumed)
     return ids
 
 
-def _explained(
-    density: Density, scan: Scan, association: Association, new: Index
-) -> tuple[NDArray[np.int64], FloatArray]:
-    """Of each of the measurements `new` (n,), the recycled track that explains most of it, and the
-    share of e, the intensity of first detections there, that comes from it."""
-    track, share = np.full(len(new), ABSENT, np.int64), np.zeros(len(new))
-    origin = density.undetected.origin
-    if origin is None or not len(new):
-        return track, share
-    rows = np.flatnonzero(origin.track != ABSENT)
+def _resumed(
+    density: Density, scan: Scan, association: Association, origin: Origin, new: Index
+) -> NDArray[np.int64]:
+    """Of each of the measurements `new` (n,), the id that it resumes, or ABSENT."""
     z = scan.position[new]
-    priced = association.undetected
+    r = np.exp(association.log_first - association.log_new)[new]
+    if compiled.native is not None:
+        priced = association.undetected
+        components = *priced.innovation.columns(), priced.log_height, origin.track, origin.share
+        return compiled.native.resumed(*components, z, priced.gate, _MOST, r, density.track_id)
+    track, share = _explained(origin, association.undetected, z)
+    claims = np.flatnonzero((share > _MOST) & ~np.isin(track, density.track_id))
+    # The least probable first: of those that claim one id, the last stays.
+    order = claims[np.argsort(r[claims] * share[claims], kind="stable")]
+    last = len(order) - 1 - np.unique(track[order[::-1]], return_index=True)[1]
+    resumed = np.full(len(new), ABSENT, np.int64)
+    resumed[order[last]] = track[order[last]]
+    return resumed
+
+
+def _explained(
+    origin: Origin, priced: Priced, z: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Of each of these first detections z (n,2), the recycled track that explains most of it, and
+    the share of e, the intensity of first detections there, that comes from it."""
+    track, share = np.full(len(z), ABSENT, np.int64), np.zeros(len(z))
+    rows = np.flatnonzero(origin.track != ABSENT)
     recycled = Priced(priced.innovation.take(rows), priced.log_height[rows], priced.gate)
     pairs = recycled.pairs(z)
     if not len(pairs.row):

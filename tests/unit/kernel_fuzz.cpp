@@ -306,6 +306,25 @@ void fuzz_gate() {
         }
     }
     require(at == rows.size(), "a pair out of the gate");
+    pmbm::Ints origin, origins;
+    pmbm::Floats share, shares;
+    for (std::size_t i = 0; i < n; ++i) {
+        origin.push_back(whole(-1, 5));
+        share.push_back(chance());
+    }
+    pmbm::explained(g, height.data(), origin.data(), share.data(), z.data(), m, threshold, origins,
+                    shares);
+    const pmbm::Ints known{1, 3};
+    const pmbm::Floats probability(m, 0.5);
+    const auto resumed = pmbm::resumed(origins, shares, 0.3, probability.data(), known.data(), 2);
+    std::set<std::int64_t> given;
+    for (std::size_t j = 0; j < m; ++j) {
+        require(shares[j] >= 0 && shares[j] < 1 + 1e-9, "a share beyond all there is");
+        if (resumed[j] < 0) continue;
+        require(resumed[j] == origins[j] && shares[j] > 0.3, "an id of nobody's");
+        require(given.insert(resumed[j]).second, "an id given twice");
+        require(resumed[j] != 1 && resumed[j] != 3, "an id in use");
+    }
     pmbm::Floats fused(4 * m, 7.0), spread_of(16 * m, 7.0);
     const double R[4] = {0.09, 0, 0, 0.09};
     pmbm::fuse(g, height.data(), mean.data(), cov.data(), R, z.data(), m, threshold, fused.data(),

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pmbm import Detections, PMBMConfig, PMBMTracker, Site, compiled
+from pmbm.filter.association import associate
 from pmbm.filter.clusters import factor, joined, merge_equal, row_limit, split
-from pmbm.filter.density import Globals, starts
+from pmbm.filter.density import Density, Globals, Mixture, Origin, starts
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
+from pmbm.filter.models import Sensor
 from pmbm.filter.reduction import _pruned
+from pmbm.filter.resumption import ids_of_new
+from pmbm.filter.scan import Scan
+from pmbm.types import ABSENT
 
 native = pytest.importorskip("pmbm._native", reason="installed without a compiler")
 
@@ -109,6 +116,34 @@ def test_the_tracker_says_the_same(monkeypatch, config):
             np.testing.assert_allclose(
                 getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-9
             )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ids_are_resumed_alike(monkeypatch, seed):
+    """Components of a few origins around two places, some of whose ids are in use."""
+    random = np.random.default_rng(seed)
+    n, m = 60, 30
+    mean = np.concatenate([random.normal(0, 3, (n, 2)), np.zeros((n, 2))], axis=1)
+    mean[::2, 0] += 40
+    track = random.integers(ABSENT, 8, n)
+    ppp = Mixture(
+        random.normal(-3, 1, n),
+        mean,
+        np.tile(np.eye(4), (n, 1, 1)),
+        Origin(track, np.where(track == ABSENT, 0.0, random.uniform(0.6, 1, n))),
+    )
+    prior = replace(Density.initial(ppp), track_id=np.arange(2), detections_seen=100)
+    z = random.normal(0, 3, (m, 2)) + np.where(random.random(m) < 0.5, 40.0, 0.0)[:, None] * [1, 0]
+    sensor = Sensor(R=0.09 * np.eye(2), detection=0.9, clutter=1e-3)
+    scan = Scan.of_positions(z)
+
+    def work():
+        found = associate(prior, scan, sensor, gate_threshold=20.0, max_hypotheses=1)
+        return ids_of_new(prior, scan, found, np.arange(0, m, 2)).tolist()
+
+    fast, plain = on_both(monkeypatch, work)
+    assert fast == plain
+    assert set(fast) & set(range(2, 8))
 
 
 def random_table(seed):
