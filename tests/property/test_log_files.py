@@ -13,6 +13,7 @@ from spoiled import NASTY, spoiled_bytes, spoiled_json
 
 from pmbm.datasets import open_dataset
 from pmbm.errors import InputError
+from pmbm.types import Tracks, TrackSequence
 
 DATA = Path(__file__).parents[1] / "data"
 LOG = "00000000-1111-2222-3333-444444444444"
@@ -27,6 +28,7 @@ SWEEP = "per_sweep_annotations_amodal/tracked_object_labels_315970000100000000.j
 JSON_FILES = [
     f"argoverse1/val/{LOG}/{SWEEP}",
     f"argoverse1/detections/validation/{LOG}/{SWEEP}",
+    f"argoverse1/out/{LOG}/{SWEEP}",
     f"argoverse1/val/{LOG}/poses/city_SE3_egovehicle_315970000100000000.json",
     "nuscenes/detections.json",
     "nuscenes/out/scene-0001.json",
@@ -43,12 +45,13 @@ TABLES = [
     "argoverse2/detections.feather",
     f"argoverse2/val/{LOG}/annotations.feather",
     f"argoverse2/val/{LOG}/city_SE3_egovehicle.feather",
+    f"argoverse2/out/{LOG}.feather",
     f"waymo/v2/lidar_box/{SEGMENT}.parquet",
     f"waymo/v2/vehicle_pose/{SEGMENT}.parquet",
 ]
 FEWER = settings(max_examples=settings.default.max_examples // 2)
 """Many files share their readers."""
-MESSAGES = ["waymo/detections.bin", f"waymo/out/{SEGMENT}.bin"]
+MESSAGES = ["waymo/detections.bin", "waymo/gt.bin", f"waymo/out/{SEGMENT}.bin"]
 
 
 @pytest.fixture(scope="module")
@@ -59,20 +62,48 @@ def folder(tmp_path_factory):
         (place / name / "out").mkdir()
     shutil.copy(DATA / "nuscenes" / "tracks.json", place / "nuscenes/out/scene-0001.json")
     shutil.copy(DATA / "waymo" / "tracks.bin", place / f"waymo/out/{SEGMENT}.bin")
+    for name in ("argoverse1", "argoverse2"):
+        _, _, log = SAMPLES[name]
+        dataset = opened(place, name)
+        dataset.write(log, as_seen(dataset.recording(log)), place / name / "out")
     return place
+
+
+def opened(folder, name, root=None):
+    place, detections, _ = SAMPLES[name]
+    return open_dataset(
+        name, root=folder / name / (root or place), detections=str(folder / name / detections)
+    )
+
+
+def as_seen(made):
+    """The detections as tracks, so that there is a result to spoil."""
+    steps = [
+        Tracks(
+            time=seen.time,
+            id=np.arange(len(seen)),
+            position=seen.position,
+            size=seen.size,
+            yaw=seen.yaw,
+            velocity=np.zeros((len(seen), 2)),
+            score=seen.score,
+            label=seen.label,
+        )
+        for seen in made.detections
+    ]
+    return TrackSequence(steps=steps, frame=made.frame)
 
 
 def outcome(folder, path, content):
     """What reading gives with this content in place of the file's, or the error."""
     name = path.split("/")[0]
-    root, detections, sequence = SAMPLES[name]
+    _, _, sequence = SAMPLES[name]
     file = folder / path
     good = file.read_bytes()
     file.write_bytes(content)
     try:
-        dataset = open_dataset(
-            name, root=folder / name / root, detections=str(folder / name / detections)
-        )
+        # A metrics.Objects file stands for a whole split, without poses.
+        dataset = opened(folder, name, "gt.bin" if path == "waymo/gt.bin" else None)
         if "/out/" in path:
             return dataset.read(sequence, folder / name / "out")
         return dataset.recording(sequence)
@@ -98,6 +129,12 @@ def check(folder, path, result):
     return True
 
 
+def frames_of(result, path):
+    if "/out/" in path:
+        return result
+    return result.detections if "detections" in path else result.truth
+
+
 @pytest.mark.parametrize("path", JSON_FILES)
 @FEWER
 @given(data=st.data())
@@ -113,7 +150,7 @@ def test_json(folder, path, data):
     if not check(folder, path, result) or "argoverse1" not in path or "poses" in path:
         return
     rows = json.loads(content)
-    frames = result.detections if "detections" in path else result.truth
+    frames = frames_of(result, path)
     wanted = [r for r in rows if r["label_class"] in ("VEHICLE", "PEDESTRIAN")]
     assert sorted(frames[1].size[:, 0].tolist()) == sorted(float(r["length"]) for r in wanted)
 
@@ -195,7 +232,7 @@ def test_tables(folder, path, data):
     table = data.draw(spoiled_table(loaded(folder / path)))
     result = outcome(folder, path, written(table, path))
     if check(folder, path, result):
-        frames = result.detections if "detections" in path else result.truth
+        frames = frames_of(result, path)
         assert all(np.isfinite(frame.position).all() for frame in frames)
 
 
