@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,21 @@ from pmbm.errors import InputError
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.gaussian import symmetric
 from pmbm.filter.models import constant_velocity
-from pmbm.types import FloatArray, IntArray, Tracks
+from pmbm.geometry import wrap_angle
+from pmbm.types import BoolArray, FloatArray, IntArray, Label, Tracks
+
+_LONGEST_GAP = 2.0
+"""s without a detection, beyond which what was not seen is not filled in."""
+_TURNING = 0.5
+"""s over which the course of a heading is averaged."""
+_CLIMBING = 0.5
+"""s over which a height is averaged."""
+_POINTS_AHEAD = (Label.CAR, Label.TRUCK, Label.BUS, Label.MOTORCYCLIST, Label.CYCLIST)
+"""What moves where its box points."""
+_MOVING = 1.0
+"""m/s from which a velocity tells front from back."""
+_SHRUNK = 0.999
+"""A detection leaves less than this share of the predicted covariance's determinant."""
 
 
 def smooth(
@@ -19,15 +33,18 @@ def smooth(
 ) -> tuple[Tracks, ...]:
     """The tracks of a whole run, each smoothed over its life: one `Tracks` per step, as given.
 
-    Positions and velocities are those of the Rauch-Tung-Striebel smoother (AIAA Journal 3(8),
-    1965); a gap inside a track is filled; size is the track's median and label its most frequent.
-    A track counts as a whole: it is kept where its existence exceeded `report_above` once, and
-    then with all its steps.  A tracker that reports from a lower existence on (`report_above` of
-    its own configuration) thus lets tracks begin before the step in which they became probable.
+    A track counts as a whole: it is kept where its existence, as of its last detection, with the
+    evidence of its whole life, exceeds `report_above`; it then lives from its first report to its
+    last detection, gaps of up to two seconds filled.  A tracker that reports from a lower existence
+    on (`report_above` of its own configuration) thus lets tracks begin before the step in which
+    they became probable.  Positions and velocities are those of the Rauch-Tung-Striebel smoother
+    (AIAA Journal 3(8), 1965); size is the mean of the detections' and label the most frequent one;
+    height and heading are averaged over half a second about each step, boxes turned by half a turn
+    turned back, and vehicles turned to where they drive.
 
     Parameters
     ----------
-    steps : what the tracker reported, in order of time, with covariances.
+    steps : what the tracker reported, in order of time, with covariances; boxes as detected.
     config : of that tracker; its process noise is needed (default: `PMBMConfig()`).
 
     Raises
@@ -40,59 +57,75 @@ def smooth(
         raise InputError("steps out of order", field="time", got=times[1:][np.diff(times) < 0][0])
     if any(one.covariance is None for one in steps):
         raise InputError("smoothing needs the tracks' covariances", field="covariance")
-    lives = [
-        _smoothed(_life(steps, track), times, config.spectral_density)
-        for track, best in sorted(_best_scores(steps).items())
-        if best > report_above
-    ]
+    lives = []
+    for number, rows in sorted(_rows_of_tracks(steps).items()):
+        life, forward = _forward(_life(steps, number, rows, times), config.spectral_density)
+        if life.score[-1] > report_above:
+            lives.append(_with_boxes(_backward(life, forward)))
     return tuple(_step(one, number, lives) for number, one in enumerate(steps))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Life:
-    """One track from its first to its last report, n steps.
+    """One track from its first report to its last detection, n steps.
 
-    first : its first step.  reported (n,) : whether it was reported in a step; where not, a row
-    repeats the last report.  mean (n,4), cov (n,4,4), box (n,5), score (n,), label.
+    first : its first step.  time (n,).  reported, detected (n,) : whether it was in a step; where
+    it was not reported, a row repeats the last report.  mean (n,4), cov (n,4,4), box (n,5) : z,
+    length, width, height, yaw.  score (n,), label.
     """
 
     id: int
     first: int
-    reported: np.ndarray
+    time: FloatArray
+    reported: BoolArray
+    detected: BoolArray
     mean: FloatArray
     cov: FloatArray
     box: FloatArray
     score: FloatArray
     label: int
 
+    def until(self, end: int) -> _Life:
+        cut = ("time", "reported", "detected", "mean", "cov", "box", "score")
+        return replace(self, **{name: getattr(self, name)[:end] for name in cut})
 
-def _best_scores(steps: Sequence[Tracks]) -> dict[int, float]:
-    best: dict[int, float] = {}
-    for one in steps:
-        for track, score in zip(one.id.tolist(), one.score.tolist(), strict=True):
-            best[track] = max(best.get(track, 0.0), score)
-    return best
+    def present(self) -> BoolArray:
+        """(n,) where the track is shown: between two detections that are not too far apart."""
+        seen = np.flatnonzero(self.detected)
+        before = np.searchsorted(seen, np.arange(len(self.time)), side="right") - 1
+        after = np.minimum(before + 1, len(seen) - 1)
+        gap = self.time[seen[after]] - self.time[seen[np.maximum(before, 0)]]
+        return self.detected | (gap <= _LONGEST_GAP)
 
 
-def _life(steps: Sequence[Tracks], track: int) -> _Life:
-    where: list[tuple[int, int]] = []
+def _rows_of_tracks(steps: Sequence[Tracks]) -> dict[int, list[tuple[int, int]]]:
+    """Step and row of every report, by track."""
+    rows: dict[int, list[tuple[int, int]]] = {}
     for number, one in enumerate(steps):
-        row = np.flatnonzero(one.id == track)
-        if len(row):
-            where.append((number, int(row[0])))
+        for row, track in enumerate(one.id.tolist()):
+            rows.setdefault(track, []).append((number, row))
+    return rows
+
+
+def _life(
+    steps: Sequence[Tracks], track: int, where: list[tuple[int, int]], times: FloatArray
+) -> _Life:
     numbers = np.array([number for number, _ in where])
+    span = np.arange(numbers[0], numbers[-1] + 1)
     # For each step of the life, the last report so far.
-    last = np.searchsorted(numbers, np.arange(numbers[0], numbers[-1] + 1), side="right") - 1
+    last = np.searchsorted(numbers, span, side="right") - 1
     picked = [(steps[number], row) for number, row in where]
     mean = np.array([[*s.position[r, :2], *s.velocity[r]] for s, r in picked])
     cov = np.array([s.covariance[r] for s, r in picked if s.covariance is not None])
     box = np.array([[s.position[r, 2], *s.size[r], s.yaw[r]] for s, r in picked])
     labels: IntArray = np.array([s.label[r] for s, r in picked], np.int64)
-    box[:, 1:4] = np.median(box[:, 1:4], axis=0)
+    reported = np.isin(span, numbers)
     return _Life(
         track,
         int(numbers[0]),
-        np.isin(np.arange(numbers[0], numbers[-1] + 1), numbers),
+        times[span],
+        reported,
+        reported,
         mean[last],
         cov[last],
         box[last],
@@ -101,26 +134,86 @@ def _life(steps: Sequence[Tracks], track: int) -> _Life:
     )
 
 
-def _smoothed(life: _Life, times: FloatArray, spectral_density: float) -> _Life:
-    """Forward through the gaps, then back through the life."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Forward:
+    """F (n,4,4) into each step and what it predicts there: mean (n,4), cov (n,4,4)."""
+
+    F: FloatArray
+    mean: FloatArray
+    cov: FloatArray
+
+
+def _forward(life: _Life, spectral_density: float) -> tuple[_Life, _Forward]:
+    """The life with its gaps predicted through, up to its last detection.
+
+    A report that is no surer of the place than its prediction was of a track that was missed.
+    """
     n = len(life.mean)
-    mean, cov = life.mean.copy(), life.cov.copy()
-    predicted_mean, predicted_cov = np.empty((n, 4)), np.empty((n, 4, 4))
+    mean, cov, detected = life.mean.copy(), life.cov.copy(), life.reported.copy()
+    predicted_mean, predicted_cov = mean.copy(), cov.copy()
     F = np.empty((n, 4, 4))
     for k in range(1, n):
-        dt = times[life.first + k] - times[life.first + k - 1]
-        F[k], Q = constant_velocity(float(dt), spectral_density)
+        F[k], Q = constant_velocity(float(life.time[k] - life.time[k - 1]), spectral_density)
         predicted_mean[k] = F[k] @ mean[k - 1]
         predicted_cov[k] = F[k] @ cov[k - 1] @ F[k].T + Q
         if not life.reported[k]:
             mean[k], cov[k] = predicted_mean[k], predicted_cov[k]
-    for k in range(n - 2, -1, -1):
-        G = np.linalg.solve(predicted_cov[k + 1], F[k + 1] @ cov[k]).T
-        mean[k] += G @ (mean[k + 1] - predicted_mean[k + 1])
-        cov[k] += G @ (cov[k + 1] - predicted_cov[k + 1]) @ G.T
-    return _Life(
-        life.id, life.first, life.reported, mean, symmetric(cov), life.box, life.score, life.label
+        detected[k] &= _area(cov[k]) < _SHRUNK * _area(predicted_cov[k])
+    whole = replace(life, mean=mean, cov=cov, detected=detected)
+    return (
+        whole.until(int(np.flatnonzero(detected)[-1]) + 1),
+        _Forward(F, predicted_mean, predicted_cov),
     )
+
+
+def _area(cov: FloatArray) -> float:
+    """Determinant of the position's covariance."""
+    return float(cov[0, 0] * cov[1, 1] - cov[0, 1] * cov[1, 0])
+
+
+def _backward(life: _Life, forward: _Forward) -> _Life:
+    mean, cov = life.mean.copy(), life.cov.copy()
+    for k in range(len(mean) - 2, -1, -1):
+        G = np.linalg.solve(forward.cov[k + 1], forward.F[k + 1] @ cov[k]).T
+        mean[k] += G @ (mean[k + 1] - forward.mean[k + 1])
+        cov[k] += G @ (cov[k + 1] - forward.cov[k + 1]) @ G.T
+    return replace(life, mean=mean, cov=symmetric(cov))
+
+
+def _with_boxes(life: _Life) -> _Life:
+    """One size for the whole life, and height and heading with what came before and after."""
+    seen = np.flatnonzero(life.detected)
+    box = life.box.copy()
+    box[:, 1:4] = box[seen, 1:4].mean(axis=0)
+    apart = life.time[:, None] - life.time[seen]
+    box[:, 0] = _averaged(life.box[seen, :1], apart, _CLIMBING)[:, 0]
+    box[:, 4] = _headings(life, life.box[seen, 4], apart)
+    return replace(life, box=box)
+
+
+def _averaged(value: FloatArray, apart: FloatArray, within: float) -> FloatArray:
+    """Means (n,K) of values (m,K), weighted by a Gaussian of their distance in time (n,m), s."""
+    weight = -0.5 * (apart / within) ** 2
+    weight = np.exp(weight - weight.max(axis=1, keepdims=True))
+    averaged: FloatArray = weight @ value / weight.sum(axis=1, keepdims=True)
+    return averaged
+
+
+def _headings(life: _Life, yaw: FloatArray, apart: FloatArray) -> FloatArray:
+    """Headings (n,) from those of the detections (m,), any of which may be turned by half a turn.
+
+    The axis is averaged first, which does not tell front from back, and followed without jumps;
+    then all detections, and the motion where it tells, say together which end is the front.
+    """
+    doubled = _averaged(np.column_stack([np.cos(2 * yaw), np.sin(2 * yaw)]), apart, _TURNING)
+    axis = np.unwrap(np.arctan2(doubled[:, 1], doubled[:, 0])) / 2
+    ahead = np.cos(yaw - axis[life.detected]).sum()
+    speed = np.hypot(life.mean[:, 2], life.mean[:, 3])
+    driving = speed > _MOVING
+    if life.label in _POINTS_AHEAD and driving.mean() > 0.5:
+        course = np.arctan2(life.mean[driving, 3], life.mean[driving, 2])
+        ahead = np.cos(course - axis[driving]).sum()
+    return wrap_angle(axis if ahead >= 0 else axis + np.pi)
 
 
 def _step(given: Tracks, number: int, lives: Sequence[_Life]) -> Tracks:
@@ -128,6 +221,7 @@ def _step(given: Tracks, number: int, lives: Sequence[_Life]) -> Tracks:
         (life, number - life.first)
         for life in lives
         if life.first <= number < life.first + len(life.mean)
+        and life.present()[number - life.first]
     ]
     n = len(rows)
     mean = np.array([life.mean[k] for life, k in rows]).reshape(n, 4)
@@ -139,7 +233,7 @@ def _step(given: Tracks, number: int, lives: Sequence[_Life]) -> Tracks:
         size=box[:, 1:4],
         yaw=box[:, 4],
         velocity=mean[:, 2:],
-        score=np.array([life.score[k] for life, k in rows]),
+        score=np.array([life.score[-1] for life, _ in rows]),
         label=np.array([life.label for life, _ in rows], np.int8),
         covariance=np.array([life.cov[k] for life, k in rows]).reshape(n, 4, 4),
         undetected=given.undetected,

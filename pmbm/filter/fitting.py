@@ -1,0 +1,204 @@
+"""Score levels from recordings whose detections' origins are known.
+
+In three steps: the plain tracker tells which detections came from one source; a logistic
+regression says what a score at a range is worth; and the sources' levels, which no one sees, are
+told apart by expectation-maximisation, together with how probably each level is an object's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmbm.errors import InputError
+from pmbm.filter.config import PMBMConfig
+from pmbm.filter.density import MISSED
+from pmbm.filter.estimation import marginals
+from pmbm.filter.marks import Levels
+from pmbm.filter.tracker import PMBMTracker
+from pmbm.score import Calibration
+from pmbm.types import CLUTTER, BoolArray, FloatArray, IntArray, Label, Recording
+
+_LEVELS = 16
+_ROUNDS = 60
+_WORTH = 10
+"""Detections up to which a source counts in proportion to them: a second's at 10 Hz."""
+_LASTING = 2
+"""Detections from which a source is no chance clutter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """The detections of one label in a recording, by the source that the tracker gave them to.
+
+    source (N,) : number of the source.  object (N,) : whether the source is an object: more of its
+    detections came from one than not.  score (N,) raw; range (N,) : m; row (N,) : of the detection
+    among all that the recording has, in order.
+    """
+
+    source: IntArray
+    object: BoolArray
+    score: FloatArray
+    range: FloatArray
+    row: IntArray
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+
+def sources(
+    recording: Recording,
+    label: Label,
+    config: PMBMConfig,
+    unjudged: Sequence[BoolArray] | None = None,
+) -> Sources:
+    """Who is behind each detection of a label, as the tracker without marks sees it.
+
+    config : of the tracker; what it says of scores is left aside.
+    unjudged : of every frame, the detections of which the labels say neither that they are true nor
+        that they are not; a source that most of its detections are such of is left out.
+
+    Raises InputError for recordings without origins or raw scores.
+    """
+    if recording.origin is None:
+        raise InputError(
+            "marks are fitted to detections of known origin",
+            field="origin",
+            hint="pmbm.datasets.with_origins pairs a real recording's detections with its labels",
+        )
+    plain = replace(config, kinds=None, levels=None, scores="ignore", report_above=0.0, history=1)
+    tracker = PMBMTracker(plain, recording.site)
+    found: list[tuple[int, bool, bool, float, float, int]] = []
+    before = 0
+    if unjudged is None:
+        unjudged = [np.zeros(len(frame), bool) for frame in recording.detections]
+    frames = zip(recording.detections, recording.origin, unjudged, strict=True)
+    for detections, origin, open_question in frames:
+        rows = np.flatnonzero(detections.label == label)
+        own = detections.take(rows)
+        if own.raw_score is None:
+            raise InputError("levels are fitted to raw scores", field="raw_score")
+        tracker.step(own)
+        density = tracker.density
+        assert density is not None
+        best = marginals(density).best
+        taken = density.local.history[best, -1]
+        x, y, _ = own.sensor_pose
+        away = np.hypot(own.position[:, 0] - x, own.position[:, 1] - y)
+        for track in np.flatnonzero(taken > MISSED).tolist():
+            one = int(taken[track])
+            hit = bool(origin[rows[one]] != CLUTTER)
+            known = hit or not open_question[rows[one]]
+            where = before + int(rows[one])
+            who = int(density.track_id[track])
+            found.append((who, hit, known, own.raw_score[one], away[one], where))
+        before += len(detections)
+    if not found:
+        none = np.zeros(0)
+        return Sources(none.astype(int), none.astype(bool), none, none, none.astype(int))
+    name, true, judged, score, away, row = (np.array(c) for c in zip(*found, strict=True))
+    source = np.unique(name, return_inverse=True)[1]
+    kept = (np.bincount(source, judged) >= 0.5 * np.bincount(source))[source]
+    source = np.unique(source[kept], return_inverse=True)[1]
+    share = np.bincount(source, true[kept]) / np.maximum(np.bincount(source, judged[kept]), 1)
+    return Sources(source, (share > 0.5)[source], score[kept], away[kept], row[kept])
+
+
+def fit_log_odds(
+    score: FloatArray, away: FloatArray, true: BoolArray, weight: FloatArray
+) -> tuple[float, float, float]:
+    """Offset, slope and per metre of a logistic regression over raw score and range, (N,) each."""
+    design = np.column_stack([np.ones(len(score)), score, away])
+    scale = np.array([1.0, 1.0, 0.1])
+    found = _logistic_fit(design * scale, weight * true, weight) * scale
+    return float(found[0]), float(found[1]), float(found[2])
+
+
+def fit_levels(
+    log_odds: Sequence[FloatArray],
+    is_object: BoolArray,
+    label: Label,
+    calibration: Calibration,
+    lasting: float,
+) -> Levels:
+    """The levels of S sources, each with the log-odds (n,) of its detections, by
+    expectation-maximisation.
+
+    Scatter is that within the sources.  P(object | level) is a logistic curve.  Sources of a single
+    detection that are no objects tell what clutter looks like.
+
+    Raises InputError where there are no objects, or nothing but objects.
+    """
+    count = np.array([len(one) for one in log_odds])
+    mean = np.array([one.mean() for one in log_odds])
+    y = np.asarray(is_object, bool)
+    lasts = count >= _LASTING
+    if not (y & lasts).any() or (y | ~lasts).all():
+        raise InputError("fitting levels", field="is_object", expected="objects and others")
+    within = sum(float(((one - one.mean()) ** 2).sum()) for one in log_odds)
+    variance = within / max(1, int((count - 1).sum()))
+    low, high = np.quantile(mean[lasts], [0.005, 0.995])
+    level = np.linspace(low - 0.5, high + 0.5, _LEVELS)
+    fit = -0.5 * count[:, None] * (mean[:, None] - level) ** 2 / variance
+
+    worth = np.minimum(count[lasts], _WORTH) / _WORTH
+    share = np.full(_LEVELS, 1 / _LEVELS)
+    design = np.column_stack([np.ones(_LEVELS), level])
+    weight = np.array([0.0, 1.0])
+    for _ in range(_ROUNDS):
+        real = _logistic(design @ weight)
+        said = np.where(y[lasts, None], real, 1 - real).clip(1e-12)
+        each = _normalised(fit[lasts] + np.log(share) + np.log(said))
+        share = _shares(each.sum(axis=0))
+        counted = each * worth[:, None]
+        weight = _logistic_fit(
+            design, (counted * y[lasts, None]).sum(axis=0), counted.sum(axis=0), weight
+        )
+    clutter = np.full(_LEVELS, 1 / _LEVELS)
+    alone = fit[~lasts & ~y]
+    for _ in range(_ROUNDS if len(alone) else 0):
+        clutter = _shares(_normalised(alone + np.log(clutter)).sum(axis=0))
+    return Levels(
+        label=int(label),
+        calibration=calibration,
+        level=level,
+        scatter=float(np.sqrt(variance)),
+        share=share,
+        real=_logistic(design @ weight),
+        clutter=clutter,
+        lasting=lasting,
+    )
+
+
+def _shares(total: FloatArray) -> FloatArray:
+    """Shares of levels from how many sources have each; none is ruled out by few sources."""
+    padded = total + 0.05
+    return padded / padded.sum()
+
+
+def _normalised(log_weight: FloatArray) -> FloatArray:
+    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+    return weight / weight.sum(axis=1, keepdims=True)
+
+
+def _logistic(x: FloatArray) -> FloatArray:
+    return 0.5 * (1.0 + np.tanh(x / 2))
+
+
+def _logistic_fit(
+    design: FloatArray, positive: FloatArray, total: FloatArray, start: FloatArray | None = None
+) -> FloatArray:
+    """Weights of a logistic regression of shares `positive` / `total` of rows, by Newton's method,
+    held a little to flat slopes so that rows told apart perfectly have an answer."""
+    weight = np.zeros(design.shape[1]) if start is None else start
+    ridge = 1e-2 * np.eye(design.shape[1])
+    for _ in range(100):
+        q = _logistic(design @ weight)
+        curvature = design.T @ (design * (total * q * (1 - q))[:, None]) + ridge
+        step = np.linalg.solve(curvature, design.T @ (positive - total * q) - ridge @ weight)
+        weight = weight + np.clip(step, -2, 2)
+        if np.abs(step).max() < 1e-9:
+            break
+    return weight
