@@ -10,6 +10,7 @@
 #include "assignment/k_best.hpp"
 #include "filter/gate.hpp"
 #include "filter/join.hpp"
+#include "filter/reduce.hpp"
 #include "filter/tables.hpp"
 
 namespace nb = nanobind;
@@ -221,42 +222,30 @@ Output<std::int64_t> row_limits(Input<std::int64_t> cluster, Input<double> log_w
         pmbm::row_limits(view(cluster, log_weight, start, member), cap, largest));
 }
 
-nb::tuple prune(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
-                Input<std::int64_t> member, double log_threshold, Input<std::int64_t> cap) {
-    std::int64_t likely = 0;
-    auto kept = pmbm::pruned(view(cluster, log_weight, start, member), log_threshold, cap.data(),
-                             likely);
-    return nb::make_tuple(hand_over(std::move(kept)), likely);
-}
-
-nb::tuple split(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
-                Input<std::int64_t> member, std::int64_t locals) {
-    return hand_over(pmbm::split(view(cluster, log_weight, start, member), locals));
-}
-
-nb::tuple merge_equal(Input<std::int64_t> cluster, Input<double> log_weight,
-                      Input<std::int64_t> start, Input<std::int64_t> member) {
-    return hand_over(pmbm::merged(view(cluster, log_weight, start, member)));
-}
-
-nb::tuple factor(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
-                 Input<std::int64_t> member, Input<std::int64_t> track, double tolerance,
-                 std::int64_t worth) {
-    pmbm::Table apart;
+// Returns the table's columns; the rows kept, their tracks, and the tracks kept; the rows recycled
+// and their probabilities; and counts in the order of `Reduced`.
+nb::tuple reduced(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
+                  Input<std::int64_t> member, Input<double> existence, Input<std::int64_t> track,
+                  std::int64_t tracks, double log_prune, std::int64_t max_hypotheses,
+                  double largest_table, double recycle_below, std::int64_t max_tracks,
+                  bool clustering, double split_below, std::int64_t worth_factoring) {
+    pmbm::ReducedTable made;
     {
         nb::gil_scoped_release released;
-        apart = pmbm::factored(view(cluster, log_weight, start, member), track.data(), tolerance,
-                               worth);
+        made = pmbm::reduced(view(cluster, log_weight, start, member), existence.data(),
+                             track.data(), track.size(), static_cast<std::size_t>(tracks),
+                             {log_prune, max_hypotheses, largest_table, recycle_below, max_tracks,
+                              clustering, split_below, worth_factoring});
     }
-    return hand_over(std::move(apart));
-}
-
-// Returns the rows kept, the members, the tracks kept, and the kept rows' tracks.
-nb::tuple compact(Input<std::int64_t> member, Input<std::int64_t> track, std::int64_t tracks) {
-    auto c = pmbm::compacted(member.data(), member.size(), track.data(), track.size(),
-                             static_cast<std::size_t>(tracks));
-    return nb::make_tuple(hand_over(std::move(c.rows)), hand_over(std::move(c.member)),
-                          hand_over(std::move(c.tracks)), hand_over(std::move(c.track)));
+    const auto recycled = made.recycled.size();
+    return nb::make_tuple(hand_over(std::move(made.table)),
+                          hand_over(std::move(made.compact.rows)),
+                          hand_over(std::move(made.compact.track)),
+                          hand_over(std::move(made.compact.tracks)),
+                          hand_over(std::move(made.recycled)),
+                          hand_over(std::move(made.probability)),
+                          nb::make_tuple(made.pruned, made.capped, made.merged, recycled,
+                                         made.tracks_capped));
 }
 
 Output<std::int64_t> likeliest(Input<std::int64_t> track, Input<double> mass,
@@ -289,11 +278,7 @@ NB_MODULE(_native, m) {
     m.def("extended", &extended);
     m.def("joined", &joined);
     m.def("row_limits", &row_limits);
-    m.def("prune", &prune);
-    m.def("split", &split);
-    m.def("merge_equal", &merge_equal);
-    m.def("compact", &compact);
+    m.def("reduced", &reduced);
     m.def("likeliest", &likeliest);
-    m.def("factor", &factor);
     m.def("probability", &probability);
 }

@@ -15,7 +15,7 @@ _SPLITMIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 LARGEST_TABLE = 6000
 """Members in the table of one cluster.  A cluster of more tracks keeps fewer hypotheses, so that no
 frame takes longer than its number of objects warrants."""
-_WORTH_FACTORING = 32
+WORTH_FACTORING = 32
 """Members in a cluster's table, above which a split may save more than it costs."""
 
 
@@ -204,8 +204,6 @@ def split(table: Globals, locals_count: int) -> Globals:
     A local hypothesis that belongs to all global hypotheses of its cluster is independent of what
     the rest of the cluster does.
     """
-    if compiled.native is not None:
-        return Globals(*compiled.native.split(*table.columns(), locals_count))
     size = np.bincount(table.cluster, minlength=table.clusters)
     row = table.row_of_member()
     member_cluster = table.cluster[row]
@@ -239,8 +237,6 @@ def merge_equal(table: Globals) -> Globals:
     """
     if len(table) == table.clusters:
         return table
-    if compiled.native is not None:
-        return Globals(*compiled.native.merge_equal(*table.columns()))
     # One is added, since zero hashes to zero and would look like an absent member.
     key = (table.member + 1).astype(np.uint64) * _SPLITMIX[0]
     key = (key ^ (key >> np.uint64(30))) * _SPLITMIX[1]
@@ -295,12 +291,9 @@ def factor(table: Globals, track: Index, tolerance: float) -> Globals:
     """
     if tolerance <= 0:
         return table
-    if compiled.native is not None:
-        columns = table.columns()
-        return Globals(*compiled.native.factor(*columns, track, tolerance, _WORTH_FACTORING))
     rows = np.bincount(table.cluster, minlength=table.clusters)
     members = summed(np.diff(table.start), table.cluster, table.clusters)
-    large = (members > _WORTH_FACTORING) & (rows >= 4)
+    large = (members > WORTH_FACTORING) & (rows >= 4)
     if not large.any():
         return table
     parts = [_rows_of(table, ~large[table.cluster])]

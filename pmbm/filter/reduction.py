@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmbm import compiled
+from pmbm.filter import clusters
 from pmbm.filter.clusters import factor, merge_equal, row_limit, split
 from pmbm.filter.density import Density, Globals, Index, Mixture, Origin, starts, summed
 from pmbm.filter.gating import near
 from pmbm.filter.gaussian import moments
 from pmbm.filter.weights import likely, log_of, normalised
+from pmbm.types import FloatArray
 
 _FEW = 20
 _ALIKE = 1.0
@@ -61,6 +63,31 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
     tracks that hardly exist are moved back into the PPP; hypotheses that are equal without them
     become one; clusters fall apart; the PPP is pruned and merged.
     """
+    density, returned, removed = _fewer(density, limits)
+
+    ppp = Mixture.joined(density.undetected, returned) if len(returned) else density.undetected
+    kept = ppp.take(np.flatnonzero(ppp.log_weight > log_of(limits.prune_undetected)))
+    joined, settled = kept, density.undetected_settled
+    if len(kept) > 2 * settled + _FEW:
+        # Merging takes longer than what it saves until the mixture has grown.
+        joined = merge_mixture(kept, limits.merge_undetected)
+        settled = len(joined)
+    heaviest = joined
+    if len(joined) > limits.max_undetected:
+        order = np.argsort(-joined.log_weight, kind="stable")[: limits.max_undetected]
+        heaviest = joined.take(np.sort(order))
+    return replace(density, undetected=heaviest, undetected_settled=settled), replace(
+        removed,
+        undetected_pruned=len(ppp) - len(kept),
+        undetected_merged=len(kept) - len(joined),
+        undetected_capped=len(joined) - len(heaviest),
+    )
+
+
+def _fewer(density: Density, limits: Limits) -> tuple[Density, Mixture, Reduced]:
+    """The detected objects with fewer hypotheses, and what is moved back into the PPP."""
+    if compiled.native is not None:
+        return _fewer_compiled(density, limits)
     table = density.hypotheses
     cap = np.full(table.clusters, limits.max_hypotheses)
     if limits.clustering:
@@ -79,36 +106,38 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
         apart = split(density.hypotheses, len(density.local))
         apart = factor(apart, density.local.track, limits.split_below)
         density = replace(density, hypotheses=apart)
-    density = _compact(density)
+    return _compact(density), returned, Reduced(pruned, over, merged, recycled, tracks_capped)
 
-    ppp = Mixture.joined(density.undetected, returned) if len(returned) else density.undetected
-    kept = ppp.take(np.flatnonzero(ppp.log_weight > log_of(limits.prune_undetected)))
-    joined, settled = kept, density.undetected_settled
-    if len(kept) > 2 * settled + _FEW:
-        # Merging takes longer than what it saves until the mixture has grown.
-        joined = merge_mixture(kept, limits.merge_undetected)
-        settled = len(joined)
-    heaviest = joined
-    if len(joined) > limits.max_undetected:
-        order = np.argsort(-joined.log_weight, kind="stable")[: limits.max_undetected]
-        heaviest = joined.take(np.sort(order))
-    return replace(density, undetected=heaviest, undetected_settled=settled), Reduced(
-        pruned,
-        over,
-        merged,
-        recycled,
-        tracks_capped,
-        len(ppp) - len(kept),
-        len(kept) - len(joined),
-        len(joined) - len(heaviest),
+
+def _fewer_compiled(density: Density, limits: Limits) -> tuple[Density, Mixture, Reduced]:
+    """`_fewer` in one call."""
+    local = density.local
+    columns, rows, track, tracks, recycled, probability, removed = compiled.native.reduced(
+        *density.hypotheses.columns(),
+        local.existence,
+        local.track,
+        len(density.track_id),
+        log_of(limits.prune_hypothesis),
+        limits.max_hypotheses,
+        clusters.LARGEST_TABLE,
+        limits.recycle_below,
+        limits.max_tracks,
+        limits.clustering,
+        limits.split_below,
+        clusters.WORTH_FACTORING,
     )
+    kept = replace(local.take(rows), track=track)
+    fewer = replace(
+        density,
+        local=kept,
+        hypotheses=Globals(*columns),
+        track_id=density.track_id[tracks],
+    )
+    return fewer, _returned(density, recycled, probability, limits), Reduced(*removed)
 
 
 def _pruned(table: Globals, threshold: float, cap: Index) -> tuple[Globals, int]:
     """The likely rows, at most `cap` (C,) of each cluster, and how many were likely."""
-    if compiled.native is not None:
-        kept, above = compiled.native.prune(*table.columns(), log_of(threshold), cap)
-        return Globals(*kept), above
     above = likely(table.log_weight, table.cluster, threshold)
     return _keep(table, _best(table, above, cap)), int(above.sum())
 
@@ -160,13 +189,20 @@ def _recycle(density: Density, limits: Limits) -> tuple[Density, int, int, Mixtu
     emptied = Globals(table.cluster, table.log_weight, before[table.start], table.member[staying])
     probability = density.hypothesis_probability()
     rows = np.flatnonzero(faint & (probability > 0))
-    returned = Mixture.empty()
-    if limits.recycle:
-        with np.errstate(divide="ignore"):
-            log_weight = np.log(probability[rows] * local.existence[rows])
-        origin = Origin.of(density.track_id[local.track[rows]])
-        returned = Mixture(log_weight, local.mean[rows], local.cov[rows], origin)
+    returned = _returned(density, rows, probability[rows], limits)
     return replace(density, hypotheses=emptied), len(rows), capped, returned
+
+
+def _returned(density: Density, rows: Index, probability: FloatArray, limits: Limits) -> Mixture:
+    """The Bernoullis of these rows (n,), as components of the PPP, or nothing where they are to be
+    forgotten.  probability (n,) : of the hypotheses that they were part of."""
+    local = density.local
+    if not len(rows) or not limits.recycle:
+        return Mixture.empty()
+    with np.errstate(divide="ignore"):
+        log_weight = np.log(probability * local.existence[rows])
+    origin = Origin.of(density.track_id[local.track[rows]])
+    return Mixture(log_weight, local.mean[rows], local.cov[rows], origin)
 
 
 def _surplus_tracks(density: Density, most: int) -> np.ndarray:
@@ -182,17 +218,12 @@ def _surplus_tracks(density: Density, most: int) -> np.ndarray:
 def _compact(density: Density) -> Density:
     """Drop the local hypotheses and tracks that no global hypothesis mentions."""
     table, track = density.hypotheses, density.local.track
-    if compiled.native is not None:
-        rows, member, tracks, track = compiled.native.compact(
-            table.member, track, len(density.track_id)
-        )
-    else:
-        used = np.zeros(len(track), bool)
-        used[table.member] = True
-        rows, member = np.flatnonzero(used), (np.cumsum(used) - 1)[table.member]
-        alive = np.zeros(len(density.track_id), bool)
-        alive[track[rows]] = True
-        tracks, track = np.flatnonzero(alive), (np.cumsum(alive) - 1)[track[rows]]
+    used = np.zeros(len(track), bool)
+    used[table.member] = True
+    rows, member = np.flatnonzero(used), (np.cumsum(used) - 1)[table.member]
+    alive = np.zeros(len(density.track_id), bool)
+    alive[track[rows]] = True
+    tracks, track = np.flatnonzero(alive), (np.cumsum(alive) - 1)[track[rows]]
     return replace(
         density,
         local=replace(density.local.take(rows), track=track),

@@ -3,6 +3,7 @@
 #include "assignment/k_best.hpp"
 #include "filter/gate.hpp"
 #include "filter/join.hpp"
+#include "filter/reduce.hpp"
 #include "filter/tables.hpp"
 
 #include <cmath>
@@ -266,6 +267,48 @@ void fuzz_tables() {
     }
 }
 
+// The whole reduction: tables stay sound, every member is a row that is kept, and where nothing is
+// cut or recycled every local hypothesis keeps its probability.
+void fuzz_reduction() {
+    const Scene scene;
+    const auto locals = static_cast<std::size_t>(scene.locals());
+    const auto tracks = scene.track.empty() ? 0 : static_cast<std::size_t>(scene.track.back()) + 1;
+    pmbm::Floats existence;
+    for (std::size_t i = 0; i < locals; ++i) existence.push_back(chance());
+    const bool gentle = chance() < 0.3;
+    const pmbm::ReductionLimits limits{gentle ? -kInf : std::log(0.05),
+                                       gentle ? 1000 : whole(1, 6),
+                                       gentle ? 1e12 : whole(1, 60),
+                                       gentle ? 0.0 : chance(),
+                                       gentle ? 1000 : whole(0, 8),
+                                       chance() < 0.8,
+                                       chance() < 0.5 ? 0.0 : 0.2 * chance(),
+                                       whole(1, 20)};
+    const auto made = pmbm::reduced(view(scene.table), existence.data(), scene.track.data(), locals,
+                                    tracks, limits);
+    const auto kept = static_cast<std::int64_t>(made.compact.rows.size());
+    check_table(made.table, kept, nullptr);
+    for (const auto member : made.table.member) {
+        require(member >= 0 && member < kept, "a member that is not kept");
+    }
+    for (std::size_t i = 0; i < made.recycled.size(); ++i) {
+        require(made.probability[i] > 0, "recycled out of nothing");
+        for (const auto row : made.compact.rows) {
+            require(row != made.recycled[i], "recycled and kept");
+        }
+    }
+    std::set<std::int64_t> alive;
+    for (const auto row : made.compact.rows) alive.insert(scene.track[row]);
+    require(static_cast<std::int64_t>(alive.size()) <= limits.max_tracks, "too many tracks");
+    if (!gentle) return;
+    const auto before = pmbm::probability(view(scene.table), scene.locals());
+    const auto after = pmbm::probability(view(made.table), kept);
+    for (std::size_t i = 0; i < after.size(); ++i) {
+        require(std::abs(after[i] - before[made.compact.rows[i]]) < 1e-9,
+                "a local hypothesis lost probability");
+    }
+}
+
 void fuzz_gate() {
     const auto n = static_cast<std::size_t>(whole(0, 30)), m = static_cast<std::size_t>(whole(0, 60));
     const double spread = std::pow(10.0, whole(-1, 4)), threshold = 0.5 + 20 * chance();
@@ -347,6 +390,7 @@ int main(int argc, char** argv) {
         const auto n = solver.solve(p.cost.data(), p.rows, p.width, k, columns, costs);
         check(p, k, n, columns, costs);
         fuzz_tables();
+        fuzz_reduction();
         fuzz_gate();
         if (!small) continue;
         std::vector<double> totals;

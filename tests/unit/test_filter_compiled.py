@@ -9,14 +9,15 @@ import pytest
 
 from pmbm import Detections, PMBMConfig, PMBMTracker, Site, compiled
 from pmbm.filter.association import associate
-from pmbm.filter.clusters import factor, joined, merge_equal, row_limit, split
-from pmbm.filter.density import Density, Globals, Mixture, Origin, starts
+from pmbm.filter.clusters import factor, joined, merge_equal, row_limit
+from pmbm.filter.density import Density, Globals, Locals, Mixture, Origin, starts
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
 from pmbm.filter.models import Sensor
-from pmbm.filter.reduction import _pruned
+from pmbm.filter.reduction import Limits, _pruned, reduce
 from pmbm.filter.resumption import ids_of_new
 from pmbm.filter.scan import Scan
+from pmbm.filter.weights import normalised
 from pmbm.types import ABSENT
 
 native = pytest.importorskip("pmbm._native", reason="installed without a compiler")
@@ -175,25 +176,61 @@ def random_table(seed):
     return table, np.array(track)
 
 
-TABLE_WORK = {
-    "merge_equal": lambda table, track: merge_equal(table),
-    "split": lambda table, track: split(merge_equal(table), len(track)),
-    "factor a little": lambda table, track: factor(merge_equal(table), track, 0.02),
-    "factor": lambda table, track: factor(merge_equal(table), track, 0.15),
-    "factor all": lambda table, track: factor(merge_equal(table), track, 10.0),
-    "prune": lambda table, track: _pruned(table, 0.02, np.full(6, 100))[0],
-    "cap": lambda table, track: _pruned(table, 0.0, np.full(6, 3))[0],
+REDUCTIONS = {
+    "nothing": {},
+    "prune": {"prune_hypothesis": 0.02},
+    "cap": {"max_hypotheses": 3},
+    "recycle": {"recycle_below": 0.4},
+    "forget": {"recycle_below": 0.4, "recycle": False},
+    "few tracks": {"recycle_below": 0.2, "max_tracks": 7},
+    "in one": {"clustering": False, "recycle_below": 0.4, "prune_hypothesis": 0.02},
+    "factor a little": {"split_below": 0.02},
+    "factor": {"split_below": 0.15, "recycle_below": 0.1},
+    "factor all": {"split_below": 10.0},
 }
+KEEP_ALL = Limits(0.0, 100, 0.0, True, 1000, 0.0, 0.0, 1000, True, 0.0)
 
 
-@pytest.mark.parametrize("name", TABLE_WORK)
+@pytest.mark.parametrize("name", REDUCTIONS)
 @pytest.mark.parametrize("seed", range(6))
-def test_tables_come_out_the_same(monkeypatch, name, seed):
+def test_reductions_come_out_the_same(monkeypatch, name, seed):
+    monkeypatch.setattr("pmbm.filter.clusters.WORTH_FACTORING", 8)
     table, track = random_table(seed)
-    fast, plain = on_both(monkeypatch, lambda: TABLE_WORK[name](table, track))
+    random, H = np.random.default_rng(seed), len(track)
+    local = replace(
+        Locals.empty(),
+        track=track,
+        existence=random.random(H),
+        mean=random.normal(size=(H, 4)),
+        cov=np.tile(np.eye(4), (H, 1, 1)),
+        box=np.ones((H, 5)),
+        label=np.zeros(H, np.int8),
+        history=np.zeros((H, 0), np.int32),
+    )
+    if name == "in one":
+        table = replace(table, cluster=np.zeros_like(table.cluster))
+        table = replace(table, log_weight=normalised(table.log_weight, table.cluster))
+    ids = 10 * np.arange(track.max() + 1)
+    prior = Density(Mixture.empty(), local, table, ids)
+    limits = replace(KEEP_ALL, **REDUCTIONS[name])
+    (fast, counted), (plain, plainly) = on_both(monkeypatch, lambda: reduce(prior, limits))
+    assert counted == plainly
+    assert fast.track_id.tolist() == plain.track_id.tolist()
+    assert fast.local.mean.tolist() == plain.local.mean.tolist()
+    assert fast.local.track.tolist() == plain.local.track.tolist()
     for field in ("cluster", "start", "member"):
-        assert getattr(fast, field).tolist() == getattr(plain, field).tolist()
-    np.testing.assert_allclose(fast.log_weight, plain.log_weight, rtol=0, atol=1e-12)
+        one, other = getattr(fast.hypotheses, field), getattr(plain.hypotheses, field)
+        assert one.tolist() == other.tolist()
+    np.testing.assert_allclose(fast.hypotheses.log_weight, plain.hypotheses.log_weight, atol=1e-12)
+    np.testing.assert_allclose(fast.undetected.log_weight, plain.undetected.log_weight, atol=1e-12)
+    assert fast.undetected.mean.tolist() == plain.undetected.mean.tolist()
+
+
+def test_the_reductions_had_something_to_do():
+    table, track = random_table(0)
+    merged = merge_equal(table)
+    found = [factor(merged, track, tolerance).clusters for tolerance in (1e-9, 0.15, 10.0)]
+    assert merged.clusters <= found[0] < found[1] < found[2]
 
 
 @pytest.mark.parametrize(("cap", "largest"), [(10_000, 10**9), (7, 10**9), (200, 60)])
@@ -218,10 +255,3 @@ def test_clusters_are_joined_to_the_bit(monkeypatch, cap, largest, ties):
         apart = table.clusters + 9 - len(np.unique(measurement))
         joins += int(fast[0][-1]) + 1 < apart
     assert joins == 5 or ties < 40
-
-
-def test_factoring_had_something_to_do():
-    table, track = random_table(0)
-    merged = merge_equal(table)
-    found = [factor(merged, track, tolerance).clusters for tolerance in (1e-9, 0.15, 10.0)]
-    assert merged.clusters <= found[0] < found[1] < found[2]
