@@ -90,15 +90,15 @@ PLANTS = [
     _filter(
         "recycled with the hypotheses' weight alone",
         "reduction",
-        "probability[rows] * local.existence[rows]",
-        "probability[rows]",
+        "np.log(probability * local.existence[rows])",
+        "np.log(probability)",
         by="tests/unit/test_filter_exact.py::test_recycling_keeps_the_expected_number_of_objects[True]",
     ),
     _filter(
         "recycled with r alone",
         "reduction",
-        "probability[rows] * local.existence[rows]",
-        "local.existence[rows]",
+        "np.log(probability * local.existence[rows])",
+        "np.log(local.existence[rows])",
         by="tests/unit/test_filter_exact.py::test_recycling_keeps_the_expected_number_of_objects[True]",
     ),
     _filter(
@@ -131,6 +131,7 @@ PLANTS = [
         "tracker",
         "            dt = self._elapsed(detections.time)\n",
         "            dt = self._elapsed(detections.time) if len(detections) else 0.0\n",
+        by="tests/unit/test_filter_tracker.py::test_time_passes_in_frames_without_detections",
     ),
     _filter(
         "ids used again",
@@ -189,36 +190,42 @@ PLANTS = [
         "clusters",
         "(table.member + 1).astype(np.uint64)",
         "table.member.astype(np.uint64)",
+        by="tests/unit/test_filter_exact.py::test_rows_that_differ_by_any_one_member_are_not_equal",
     ),
     _filter(
         "weights not shared out after pruning",
         "reduction",
         "        normalised(table.log_weight[rows], cluster),\n",
         "        table.log_weight[rows],\n",
+        by="tests/unit/test_filter_exact.py::test_pruning_and_capping_share_out_the_weight",
     ),
     _filter(
         "children out of proportion",
         "association",
         "* np.exp(parents.log_weight) - 1e-9",
         "* np.ones(len(parents)) - 1e-9",
+        by="tests/unit/test_filter_exact.py::test_a_parent_gets_children_in_proportion_to_its_weight",
     ),
     _filter(
         "no survival for undetected objects",
         "prediction",
         "Mixture(ppp.log_weight + log_survival, ",
         "Mixture(ppp.log_weight, ",
+        by="tests/unit/test_filter_models.py::test_predicting_twice_is_predicting_once",
     ),
     _filter(
         "spread of the fused means forgotten",
         "gaussian",
         "(cov + spread[:, :, None] * spread[:, None, :])",
         "cov",
+        by="tests/unit/test_filter_exact.py::test_an_update_is_bayes_rule_over_all_associations[0]",
     ),
     _filter(
         "a split keeps only the first cluster's weights",
         "clusters",
         "np.concatenate([table.log_weight[kept], np.zeros(len(alone))])",
         "np.concatenate([np.zeros(len(kept)), np.zeros(len(alone))])",
+        by="tests/unit/test_filter_exact.py::test_clusters_on_and_off_give_the_same_density[0]",
     ),
     _filter(
         "a product of clusters forgets a factor's weight",
@@ -227,66 +234,77 @@ PLANTS = [
         "        summed(\n"
         "            table.log_weight[source] * (np.diff(joint, prepend=-1) > 0), joint, rows\n"
         "        ),\n",
+        by="tests/unit/test_filter_exact.py::test_joining_large_clusters_keeps_the_best_of_their_product[5]",
     ),
     _filter(
         "a shared measurement joins no clusters",
         "clusters",
         "    if len(ties):\n",
         "    if False:\n",
+        by="tests/unit/test_filter_exact.py::test_clusters_on_and_off_give_the_same_density[1]",
     ),
     _filter(
         "dependent groups taken apart",
         "clusters",
         "coo_array(between > tolerance)",
         "coo_array(between > 10.0)",
+        by="tests/unit/test_filter_exact.py::test_a_table_that_factors_is_taken_apart_exactly",
     ),
     _filter(
         "detected with the existence it had",
         "update",
         "        np.ones(len(pairs)),\n",
         "        before.existence,\n",
+        by="tests/unit/test_filter_exact.py::test_an_update_is_bayes_rule_over_all_associations[0]",
     ),
     _filter(
         "a gate of the wrong root",
         "gating",
         "np.nonzero(y0 * y0 + y1 * y1 < threshold)",
         "np.nonzero(y0 * y0 + y1 * y1 < threshold**0.5)",
+        by="tests/unit/test_filter_models.py::test_the_gate_holds_whom_it_should",
     ),
     _filter(
         "crowded gates cut short",
         "gating",
         "    within[crowded] = False\n",
         "    crowded[:] = False\n",
+        by="tests/unit/test_filter_models.py::test_the_gate_holds_whom_it_should",
     ),
     _filter(
         "position noise in place of its square",
         "tracker",
         "R=config.measurement_sd**2 * np.eye(2)",
         "R=config.measurement_sd * np.eye(2)",
+        by="tests/unit/test_filter_tracker.py::test_a_lone_object_is_a_kalman_filter",
     ),
     _filter(
         "reported from the best hypothesis alone",
         "estimation",
         "    existence = summed(mass, local.track, tracks)\n",
         "    existence = np.zeros(tracks)\n    np.maximum.at(existence, local.track, mass)\n",
+        by="tests/unit/test_filter_models.py::test_estimators_over_clusters_are_those_of_the_whole_scene[0]",
     ),
     _filter(
         "cardinality without the rest's absence",
         "estimation",
         "        left = np.concatenate([np.cumsum(np.log1p(-falling[::-1]))[::-1], [0.0]])\n",
         "        left = np.zeros(len(falling) + 1)\n",
+        by="tests/unit/test_filter_models.py::test_estimators_over_clusters_are_those_of_the_whole_scene[0]",
     ),
     _filter(
         "a track out of view is still reported",
         "tracker",
         "view.share_inside(local.mean, local.cov) > 0.5",
         "view.share_inside(local.mean, local.cov) > -1",
+        by="tests/unit/test_filter_tracker.py::test_a_track_out_of_view_is_kept_in_mind_and_not_reported",
     ),
     _filter(
         "scores speak the wrong way round",
         "tracker",
         "np.column_stack([2 * s, 2 * (1 - s)])",
         "np.column_stack([2 * (1 - s), 2 * s])",
+        by="tests/unit/test_filter_presets.py::test_a_first_detection_by_the_papers_rule[0.2]",
     ),
     _filter(
         "state changed before time is checked",
@@ -296,12 +314,14 @@ PLANTS = [
         "            if detections.time < before:\n"
         "                raise InputError('detections out of order', field='time')\n"
         "            dt = detections.time - before\n",
+        by="tests/unit/test_filter_tracker.py::test_bad_time_is_refused_and_leaves_the_tracker_as_it_was",
     ),
     Plant(
         "y not mirrored",
         "sim/traffic.py",
         "path.rows.append((x, -y, ",
         "path.rows.append((x, y, ",
+        by="tests/unit/test_traffic.py::test_our_world_is_right_handed",
         tests=("tests/unit/test_traffic.py",),
     ),
     _filter(
@@ -309,30 +329,35 @@ PLANTS = [
         "association",
         "np.maximum(np.logaddexp(log_first, log_clutter), LOG_TINY)",
         "np.maximum(log_first, LOG_TINY)",
+        by="tests/unit/test_filter_exact.py::test_an_update_is_bayes_rule_over_all_associations[0]",
     ),
     _filter(
         "ghosts are reported",
         "estimation",
         "mass * (local.kind @ object_share)",
         "mass * local.kind.sum(axis=1)",
+        by="tests/unit/test_filter_marks.py::test_kinds_follow_bayes_rule",
     ),
     _filter(
         "the chain of being seen never forgets",
         "marks",
         "self.usual + (seen - self.usual) * memory",
         "seen",
+        by="tests/unit/test_filter_marks.py::test_visibility_is_a_hidden_markov_model",
     ),
     _filter(
         "a miss says nothing of being seen",
         "marks",
         "missed_if_seen = 1 - P_D / ",
         "missed_if_seen = 1 - P_D + 0 * ",
+        by="tests/unit/test_filter_marks.py::test_visibility_is_a_hidden_markov_model",
     ),
     Plant(
         "a track hides itself",
         "pmbm/filter/occlusion.py",
         "log_open -= self._by_itself(",
         "log_open -= 0.0 * self._by_itself(",
+        by="tests/property/test_filter_occlusion.py::test_a_hypothesis_is_never_hidden_by_its_own_track",
         tests=("tests/property/test_filter_occlusion.py",),
     ),
     Plant(
@@ -340,6 +365,7 @@ PLANTS = [
         "pmbm/filter/occlusion.py",
         "return bearing + np.minimum(distance, 0.999 * _FAR) / _FAR",
         "return bearing + 0.5 - np.minimum(distance, 0.4 * _FAR) / _FAR",
+        by="tests/property/test_filter_occlusion.py::test_a_wall_hides_what_stands_behind_it_and_not_what_stands_before_it",
         tests=("tests/property/test_filter_occlusion.py",),
     ),
     Plant(
@@ -347,6 +373,7 @@ PLANTS = [
         "pmbm/study/worker.py",
         "trial=study.trial(index),",
         "trial=0,",
+        by="tests/unit/study/test_runner.py::test_the_digest_does_not_depend_on_processes",
         tests=("tests/unit/study/test_runner.py::test_the_digest_does_not_depend_on_processes",),
     ),
     Plant(
@@ -354,6 +381,7 @@ PLANTS = [
         "sim/streams.py",
         "key = (self.trial, int(purpose)",
         "key = (0, int(purpose)",
+        by="tests/unit/test_detector_streams.py::test_same_seed_same_bits_other_seed_or_trial_other_bits",
         tests=("tests/unit/test_detector_streams.py",),
     ),
     Plant(
@@ -361,6 +389,7 @@ PLANTS = [
         "sim/streams.py",
         "int(object_id) % 2**64)",
         "0)",
+        by="tests/unit/test_detector_streams.py::test_streams_are_told_apart_by_every_part_of_their_key",
         tests=("tests/unit/test_detector_streams.py",),
     ),
     Plant(
@@ -368,6 +397,7 @@ PLANTS = [
         "pmbm/study/store.py",
         "whole = row.hash(known_hash) == row_hash",
         "whole = True",
+        by="tests/unit/study/test_store.py::test_damaged_rows_are_named_and_run_again",
         tests=("tests/unit/study/test_store.py::test_damaged_rows_are_named_and_run_again",),
     ),
     Plant(
@@ -375,6 +405,7 @@ PLANTS = [
         "pmbm/regression/sequence.py",
         "np.maximum(variance, value_range**2 / n)",
         "np.maximum(variance, 1e-300)",
+        by="tests/unit/regression/test_sequence.py::test_the_variance_never_falls_below_the_floor",
         tests=("tests/unit/regression/test_sequence.py", "tests/unit/regression/test_verdicts.py"),
     ),
     Plant(
@@ -382,6 +413,7 @@ PLANTS = [
         "pmbm/metrics/gospa.py",
         "missed_count = scene.truth.count(frames) - matched",
         "missed_count = scene.truth.count(frames) - 0 * matched",
+        by="tests/unit/test_metrics.py::test_gospa_splits_into_misplacement_misses_and_ghosts",
         tests=("tests/unit/test_metrics.py",),
     ),
     Plant(
@@ -389,6 +421,7 @@ PLANTS = [
         "pmbm/metrics/clear.py",
         "switch[order[1:]] = again & other",
         "switch[order[1:]] = again",
+        by="tests/unit/test_metrics.py::test_a_perfect_run",
         tests=("tests/unit/test_metrics.py",),
     ),
     Plant(
@@ -396,6 +429,7 @@ PLANTS = [
         "pmbm/assignment/reference.py",
         "inherited | {node.columns[row]}",
         "frozenset({node.columns[row]})",
+        by="tests/unit/test_assignment.py::test_all_equal_costs_give_every_permutation_in_order",
         tests=("tests/unit/test_assignment.py", "tests/property/test_assignment_laws.py"),
     ),
     Plant(
@@ -403,6 +437,7 @@ PLANTS = [
         "pmbm/geometry.py",
         "np.where(wrapped >= np.pi, -np.pi, wrapped)",
         "wrapped",
+        by="tests/property/test_geometry.py::test_wrapped_angles_are_in_the_interval_and_point_the_same_way",
         tests=("tests/property/test_geometry.py", "tests/unit/test_types.py"),
     ),
     _filter(
@@ -410,12 +445,14 @@ PLANTS = [
         "gaussian",
         "corrected[:, :2, :2] = R - ",
         "_ = R - ",
+        by="tests/unit/test_filter_models.py::test_ill_conditioned_covariances_stay_covariances[100000000.0]",
     ),
     Plant(
         "who is hidden is named for the one that hides it",
         "pmbm/filter/inspection.py",
         "hides = (target != body) & ~around[body]",
         "hides = ~around[body]",
+        by="tests/unit/test_filter_inspection.py::test_a_life_from_birth_through_a_shadow_to_its_end",
         tests=("tests/unit/test_filter_inspection.py",),
     ),
     Plant(
@@ -423,6 +460,7 @@ PLANTS = [
         "pmbm/filter/story.py",
         '"missed" if missing > 0.5 else "detected"',
         '"detected" if missing > 0.5 else "missed"',
+        by="tests/unit/test_filter_inspection.py::test_a_life_from_birth_through_a_shadow_to_its_end",
         tests=("tests/unit/test_filter_inspection.py",),
     ),
 ]
