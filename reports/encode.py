@@ -3,7 +3,8 @@
 Every per-row quantity is a column of fixed-point integers (centimetres, milliradians).  Rows are
 sorted by object, then frame, so that differences between neighbours are small; the differences
 are zigzag-coded, split into byte planes, deflated and written as base64.  300 frames of 50 boxes
-with their detections and one tracker take about 0.3 MB.
+with their detections and one tracker take about 0.3 MB.  The intensity of undetected objects is a
+grid of bytes a step, as differences to the step before: at most 1.5 million cells in all.
 """
 
 from __future__ import annotations
@@ -18,13 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmbm.labels import Label
 from pmbm.types import CLUTTER, FloatArray, IntArray, Recording, Tracks, TrackSequence
+from reports.hidden_grid import CODES, DECADES, LOWEST, hidden_grid
 from reports.matching import BoolPair, first_detection, identity_switches, matched
 from reports.values import Replay
 
 METRE, RADIAN, SHARE, SPEED = 0.01, 0.001, 0.01, 0.05
 """Resolution of lengths, angles, shares and speeds; far finer than a screen shows."""
-INTENSITY_FLOOR = 1e-4
-"""Components of the undetected intensity lighter than this (expected objects) are left out."""
 
 _LARGEST = 5e8
 """Of a packed integer: what zigzag codes of differences hold, in 32 bits."""
@@ -64,7 +64,7 @@ def encode_replay(replay: Replay) -> dict[str, Any]:
                 **_tracks(tracks, matches[name], centre, blob),
                 "switches": _switches(recording, tracks),
                 "missed": _missed(recording, tracks, matches[name], blob),
-                "undetected": _undetected(tracks, centre, blob),
+                "undetected": _undetected(recording, replay.maps.get(name, tracks), centre, blob),
                 "steps": tracks.frame.tolist(),
                 "series": _series(replay.series.get(name, {})),
             }
@@ -99,6 +99,13 @@ class _Blob:
         planes = np.ascontiguousarray(zigzag.view(np.uint8).reshape(-1, 4).T)
         self._parts.append(planes.tobytes())
         self._bytes += planes.size
+
+    def raw(self, values: NDArray[np.uint8]) -> int:
+        """Bytes as they are; the place where they begin."""
+        begin = self._bytes
+        self._parts.append(values.tobytes())
+        self._bytes += values.size
+        return begin
 
     def text(self) -> str:
         return base64.b64encode(zlib.compress(b"".join(self._parts), 9)).decode("ascii")
@@ -231,33 +238,22 @@ def _switches(recording: Recording, tracks: TrackSequence) -> list[list[int | st
     ]
 
 
-def _undetected(tracks: TrackSequence, centre: FloatArray, blob: _Blob) -> dict[str, Any] | None:
-    """The intensity of undetected objects over the plane, component by component."""
-    if all(step.undetected is None for step in tracks):
+def _undetected(
+    recording: Recording, tracks: TrackSequence, centre: FloatArray, blob: _Blob
+) -> dict[str, Any] | None:
+    """The intensity of undetected objects, one window of cells a step."""
+    grid = hidden_grid(recording, tracks, centre)
+    if grid is None:
         return None
-    frames, components, weights, means, spreads = [], [], [], [], []
-    for frame, step in zip(tracks.frame.tolist(), tracks, strict=True):
-        if step.undetected is None:
-            continue
-        mixture = step.undetected.take(step.undetected.log_weight > np.log(INTENSITY_FLOOR))
-        frames.append(np.full(len(mixture), frame))
-        components.append(np.arange(len(mixture)))
-        weights.append(mixture.log_weight)
-        means.append(mixture.mean[:, :2] - centre)
-        spreads.append(mixture.cov[:, [0, 1, 0], [0, 1, 1]])
-    row = _column(frames, np.int64)
-    # A component tends to keep its place in the mixture, so its history packs well.
-    order = np.lexsort((row, _column(components, np.int64)))
-    mean, spread = _column(means, width=2)[order], _column(spreads, width=3)[order]
-    return blob.table(
-        frame=(row[order], 1),
-        weight=(_column(weights)[order], 0.005),
-        x=(mean[:, 0], 0.05),
-        y=(mean[:, 1], 0.05),
-        xx=(spread[:, 0], 0.02),
-        yy=(spread[:, 1], 0.02),
-        xy=(spread[:, 2], 0.02),
-    )
+    change = np.diff(grid.code, axis=0, prepend=np.zeros_like(grid.code[:1]))
+    return {
+        "cell": grid.cell,
+        "lowest": LOWEST,
+        "decades": DECADES / (CODES - 1),
+        "side": grid.code.shape[1],
+        "codes": blob.raw(change),
+        **blob.table(frame=(grid.frame, 1), i=(grid.corner[:, 0], 1), j=(grid.corner[:, 1], 1)),
+    }
 
 
 def _poses(recording: Recording, centre: FloatArray, blob: _Blob) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from reports.palette import DARK, LIGHT
 REPLAY_SCRIPTS = (
     "decode",
     "geometry",
+    "hidden",
     "tracks",
     "scene",
     "plots",

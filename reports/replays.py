@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from pmbm.metrics import evaluate
 from pmbm.study import Source, StepTime, TrialResult, follow, summarise
-from pmbm.tracking import TrackerFactory
+from pmbm.tracking import TrackerFactory, tracker_factory
 from reports.render import run_page
 from reports.values import Replay, Section
 
@@ -18,22 +18,29 @@ def trial_replay(
     trial: int,
     *,
     title: str = "",
+    with_maps: bool = False,
 ) -> tuple[Replay, TrialResult]:
     """Record a trial and run trackers over it: what to look at, and the scores.
 
     title : which trial it is, for people; by default its number and seed.
+    with_maps : trackers that offer `with_map` are run once more, so made: where they expect
+        undetected objects is then shown in detail.  Their tracks and scores stay those without.
     """
     recording = source.record(seed, trial)
-    tracks, scores, series, times = {}, {}, {}, {}
+    tracks, scores, series, times, maps = {}, {}, {}, {}, {}
     for name, tracker in trackers.items():
         tracks[name] = follow(tracker, recording)
         found = evaluate(recording, tracks[name])
         scores[name] = found.scalars()
         series[name] = {key: v.series for key, v in found.items() if v.series is not None}
         times[name] = StepTime.of(tracks[name].seconds)
+        factory = tracker_factory(tracker) if isinstance(tracker, str) else tracker
+        if with_maps and (detailed := getattr(factory, "with_map", None)) is not None:
+            maps[name] = follow(detailed, recording)
     result = TrialResult(source.name, seed, trial, recording.digest(), scores, times)
     title = title or f"trial {trial} of seed {seed}"
-    return Replay(recording=recording, tracks=tracks, series=series, title=title), result
+    replay = Replay(recording=recording, tracks=tracks, series=series, maps=maps, title=title)
+    return replay, result
 
 
 def trial_page(
@@ -50,7 +57,7 @@ def trial_page(
 
     title : what it is, for people; command : what makes the page again.
     """
-    replay, result = trial_replay(source, trackers, seed, trial)
+    replay, result = trial_replay(source, trackers, seed, trial, with_maps=True)
     section = Section(
         name=source.name,
         stresses=stresses,

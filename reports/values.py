@@ -23,6 +23,8 @@ class Replay:
     series : tracker -> metric -> value of each step (S,), NaN where undefined.  `gospa`,
         `gospa_localisation`, `gospa_missed` and `gospa_false` are drawn where they are given,
         over observable objects where the same name with "_observable" at its end is given too.
+    maps : tracker -> reports whose `undetected` is shown in place of its own: what it expects where
+        it cannot see, kept in more detail.
     title : which trial this is, for people.
     start : truth frame that is shown first.
     """
@@ -30,6 +32,7 @@ class Replay:
     recording: Recording
     tracks: Mapping[str, TrackSequence]
     series: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
+    maps: Mapping[str, TrackSequence] = field(default_factory=dict)
     title: str = ""
     start: int = 0
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from reports.values import Replay
 
 KINDS = ("scene", "hidden", "errors")
-_WITH_MAP = {"pmbm": "pmbm.filter:PMBMTracker.with_map"}
-"""Trackers that know more of undetected objects than they usually say."""
 
 
 @click.command()
@@ -74,8 +72,9 @@ def command(
         raise InputError("unknown format", field="--out", expected=".svg or .png", got=out.name)
     source = load_scenario(scenario)
     source = source if level is None else source.at(level)
-    home = _WITH_MAP if kind == "hidden" else {}
-    replay, _ = trial_replay(source, {name: home.get(name, name) for name in trackers}, seed, 0)
+    replay, _ = trial_replay(
+        source, {name: name for name in trackers}, seed, 0, with_maps=kind == "hidden"
+    )
     figure = _figure(kind, replay, frame, dark=dark)
     out = out or Path("reports") / f"{source.name}-{kind}.png"
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -90,5 +89,8 @@ def _figure(kind: str, replay: Replay, frame: int | None, *, dark: bool) -> Figu
     if kind == "errors":
         return error_picture(recording, tracks, dark=dark)
     if kind == "hidden":
-        return hidden_traffic_picture(recording, next(iter(tracks.values())), frame, dark=dark)
+        name = next(iter(tracks))
+        return hidden_traffic_picture(
+            recording, replay.maps.get(name, tracks[name]), frame, dark=dark
+        )
     return scene_picture(recording, tracks, frame, dark=dark)

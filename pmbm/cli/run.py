@@ -65,6 +65,13 @@ HEADLINE = (
     metavar="TRACK_ID",
     help="Tell this track's life in the replayed trial, as the first tracker saw it.",
 )
+@click.option(
+    "--map/--no-map",
+    "with_maps",
+    default=True,
+    show_default=True,
+    help="Run the replayed trial of pmbm once more, to show where it expects undetected objects.",
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
 def command(
     scenarios: tuple[str, ...],
@@ -77,6 +84,7 @@ def command(
     page: str | None,
     replay_trial: int,
     explain: int | None,
+    with_maps: bool,
     jobs: int,
 ) -> None:
     """Run trackers over trials of a scenario: a table, and a page to look at.
@@ -122,7 +130,7 @@ def command(
         results = _run(source, factories, seed, trials, jobs, quiet=json_file == "-")
         summary = summarise(results)
         figures.append(_figures(source.name, trials, seed, summary))
-        sections.append(_section(source, factories, seed, replay_trial, summary))
+        sections.append(_section(source, factories, seed, replay_trial, summary, with_maps))
         _show(source.name, summary, results, to_stderr=json_file == "-")
 
     repeat = shlex.join(["pmbm", *_arguments()])
@@ -217,11 +225,12 @@ def _section(
     seed: int,
     trial: int,
     summary: Summary,
+    with_maps: bool,
 ) -> Section:
     from reports.replays import trial_replay
     from reports.values import Section
 
-    replay, _ = trial_replay(source, factories, seed, trial)
+    replay, _ = trial_replay(source, factories, seed, trial, with_maps=with_maps)
     return Section(
         name=source.name,
         stresses=source.stresses,

@@ -286,26 +286,71 @@ def test_hovering_tells_the_details(plain):
     assert "100 % visible" in text
 
 
-def test_a_drawn_rectangle_counts_hidden_objects(plain):
-    """The browser's number against scipy's, for a rectangle that cuts through the components."""
-    from scipy.stats import multivariate_normal
+REGION = ((40.0, 8.0), (54.0, 6.0), (58.0, 20.0), (47.0, 13.0), (42.0, 19.0))
+"""Not convex, and cutting through the components behind the truck."""
 
-    box = [42.0, 8.0, 54.0, 17.0]
-    counted = plain.execute_script(
-        "player.choose(0); player.seek(30);"
-        "const m = player.data.trackers[0].undetected;"
-        "const b = [0, 1, 2, 3].map((i) => arguments[0][i] - player.data.centre[i % 2]);"
-        "player.state.region = b; player.refresh();"
-        "return player.hidden(b)",
-        box,
+
+def in_world(driver, ring):
+    centre = np.array(driver.execute_script("return player.data.centre"))
+    return np.array(ring) + centre
+
+
+def pointer_at(driver, actions, place):
+    """Adds a move of the mouse to a place (x, y) in the world."""
+    x, y = driver.execute_script(
+        "const c = document.querySelector('.stage canvas');"
+        "const [u, v] = arguments[0].map((value, i) => value - player.data.centre[i]);"
+        "const [x, y] = player.camera.toScreen(u, v);"
+        "return [x - c.clientWidth / 2, y - c.clientHeight / 2]",
+        list(place),
     )
-    behind = hidden_mixture().take([0])
-    share = multivariate_normal(behind.mean[0, :2], behind.cov[0, :2, :2]).cdf(
-        [54, 17], lower_limit=[42, 8]
-    )
-    # The page keeps positions to 0.05 m and log weights to 0.005.
-    assert counted["expected"] == pytest.approx(0.5 * share, rel=0.02)
+    canvas = driver.find_element("css selector", ".stage canvas")
+    return actions.move_to_element_with_offset(canvas, round(x), round(y))
+
+
+def test_a_polygon_drawn_with_the_mouse_counts_hidden_objects(plain):
+    """Clicked corner by corner; the browser's number against the exact integral."""
+    from selenium.webdriver import ActionChains
+
+    plain.execute_script("player.choose(0); player.seek(30)")
+    click(plain, "[data-do=measure]")
+    assert "Drag a rectangle" in plain.find_element("css selector", ".counted").text
+    for corner in (*REGION, REGION[0]):
+        pointer_at(plain, ActionChains(plain), corner).click().perform()
+        settle(plain)
+    assert plain.execute_script("return [player.state.open, player.state.region.length]") == [
+        False,
+        len(REGION),
+    ]
+    ring = in_world(plain, plain.execute_script("return player.state.region"))
+    # Corners are where whole pixels are.
+    assert ring == pytest.approx(np.array(REGION), abs=0.6)
+    counted = plain.execute_script("return player.hidden(player.state.region)")
+    exact = hidden_mixture().expected_count(ring)
+    assert 0.05 < exact < 0.4
+    # The page keeps cells of 1.9 m or less, and their intensity to 2.8 %.
+    assert counted["expected"] == pytest.approx(exact, rel=0.03)
     assert counted["there"] == 0
+    said = plain.find_element("css selector", ".counted").text
+    assert f"{counted['expected']:.2f} undetected objects expected, 0 there" in said
+    before = pixels(plain)
+    click(plain, "[data-do=measure]")
+    assert plain.execute_script("return player.state.region") is None
+    assert pixels(plain) != before
+
+
+def test_true_hidden_objects_in_a_region_are_counted(plain):
+    """Before any detection of it: a car that nobody knows of is there; later it is known."""
+    plain.execute_script("player.choose(0); player.seek(0)")
+    rows = plain.execute_script(
+        "const t = player.data.truth; return t.at[0].map((r) => [t.x[r], t.y[r], t.flags[r]])"
+    )
+    for x, y, flags in rows:
+        ring = [[x - 1, y - 1], [x + 1, y - 1], [x + 1, y + 1], [x - 1, y + 1]]
+        counted = plain.execute_script("return player.hidden(arguments[0])", ring)
+        assert counted["there"] == (0 if int(flags) & 4 else 1)
+        assert counted["hidden"] == (0 if int(flags) & 1 else 1)
+        assert counted["area"] == pytest.approx(4.0, rel=1e-5)
 
 
 def test_the_rectangle_is_drawn_with_the_mouse(plain):
@@ -319,12 +364,36 @@ def test_the_rectangle_is_drawn_with_the_mouse(plain):
     ActionChains(plain).drag_and_drop_by_offset(canvas, 90, -40).perform()
     settle(plain)
     scale = plain.execute_script("return player.camera.scale")
-    region = plain.execute_script("return player.state.region")
+    region = np.array(plain.execute_script("return player.state.region"))
     # From the middle of the picture, up and to the right; the picture itself does not move.
-    assert region == pytest.approx([x, y, x + 90 / scale, y + 40 / scale], abs=1 / scale)
+    low, high = region.min(axis=0), region.max(axis=0)
+    assert [*low, *high] == pytest.approx([x, y, x + 90 / scale, y + 40 / scale], abs=1 / scale)
     assert pixels(plain) != before
-    click(plain, "[data-do=measure]")
-    assert plain.execute_script("return player.state.region") is None
+    counted = plain.execute_script("return player.hidden(player.state.region)")
+    exact = hidden_mixture().expected_count(in_world(plain, region))
+    assert counted["expected"] == pytest.approx(exact, rel=0.03, abs=1e-4)
+
+
+def test_hidden_objects_are_counted_without_a_pointer(plain):
+    from selenium.webdriver.common.keys import Keys
+
+    plain.execute_script("player.choose(0); player.seek(30)")
+    press(plain, "h")
+    middle = "const b = player.state.region; return [0, 1].map((k) => (b[0][k] + b[2][k]) / 2)"
+    x, y = plain.execute_script(middle)
+    width = "const b = player.state.region; return b[2][0] - b[0][0]"
+    wide = plain.execute_script(width)
+    press(plain, Keys.ARROW_RIGHT)
+    press(plain, Keys.ARROW_UP)
+    assert plain.execute_script(middle) == pytest.approx([x + 1, y + 1], abs=1e-3)
+    press(plain, Keys.SHIFT + Keys.ARROW_RIGHT)
+    assert plain.execute_script(width) == pytest.approx(wide + 2, abs=1e-3)
+    assert frame(plain) == 30
+    assert "objects expected" in plain.find_element("css selector", ".counted").text
+    press(plain, Keys.NULL + Keys.ESCAPE)
+    assert plain.execute_script("return player.state.measuring") is False
+    press(plain, Keys.ARROW_RIGHT)
+    assert frame(plain) == 31
 
 
 def test_hostile_strings_stay_strings(browser, tmp_path):

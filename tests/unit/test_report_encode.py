@@ -14,7 +14,6 @@ from pmbm.metrics import evaluate
 from pmbm.types import (
     CLUTTER,
     Detections,
-    GaussianMixture,
     GroundTruth,
     Label,
     Recording,
@@ -158,21 +157,6 @@ def test_far_coordinates_keep_their_centimetres():
     first = x[ids == "11"]
     want = [t.position[0, 0] for t in far.truth]
     assert first == pytest.approx(want, abs=0.0051)
-
-
-def test_values_beyond_the_format_are_cut_and_harm_no_other():
-    scene = recording(frames=3)
-    vague = GaussianMixture(
-        log_weight=np.log([0.5, 0.5]),
-        mean=np.zeros((2, 4)),
-        cov=[np.diag([1e12, 4.0, 1.0, 1.0]), np.diag([9.0, 4.0, 1.0, 1.0])],
-    )
-    steps = tuple(replace(step, undetected=vague) for step in tracks(scene))
-    data = encoded(scene, {"a": TrackSequence(steps=steps, frame=[0, 1, 2])})
-    table = unpack(data, data["trackers"][0]["undetected"])
-    assert table["xx"][:3].tolist() == pytest.approx([1e7] * 3)
-    assert table["xx"][3:].tolist() == pytest.approx([9.0] * 3)
-    assert table["yy"].tolist() == pytest.approx([4.0] * 6)
 
 
 def crowd(frames, count):

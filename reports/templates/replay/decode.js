@@ -52,7 +52,7 @@ async function decode(data) {
     trackers: data.trackers.map((tracker) => ({
       ...read(tracker),
       missed: read(tracker.missed),
-      undetected: read(tracker.undetected),
+      undetected: tracker.undetected && new HiddenGrid(bytes, tracker.undetected, frames),
     })),
   };
 }

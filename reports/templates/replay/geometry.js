@@ -1,4 +1,4 @@
-// Boxes, shadows and the intensity of undetected objects, in metres.
+// Boxes, shadows and regions, in metres.
 
 function boxCorners(table, row) {
   const [x, y, yaw] = [table.x[row], table.y[row], table.yaw[row]];
@@ -51,80 +51,38 @@ function insideConvex(polygon, [x, y]) {
   return true;
 }
 
-// Objects per square metre on a grid; `box` is [x0, y0, x1, y1].
-function intensityGrid(mixture, rows, box, columns, lines) {
-  const grid = new Float32Array(columns * lines);
-  const [dx, dy] = [(box[2] - box[0]) / columns, (box[3] - box[1]) / lines];
-  for (const row of rows) {
-    const [mx, my] = [mixture.x[row], mixture.y[row]];
-    const [xx, yy, xy] = regular(mixture, row);
-    const det = xx * yy - xy * xy;
-    const peak = Math.exp(mixture.weight[row]) / (2 * Math.PI * Math.sqrt(det));
-    const [rx, ry] = [4 * Math.sqrt(xx), 4 * Math.sqrt(yy)];
-    const i0 = Math.max(0, Math.floor((mx - rx - box[0]) / dx));
-    const i1 = Math.min(columns - 1, Math.ceil((mx + rx - box[0]) / dx));
-    const j0 = Math.max(0, Math.floor((my - ry - box[1]) / dy));
-    const j1 = Math.min(lines - 1, Math.ceil((my + ry - box[1]) / dy));
-    for (let j = j0; j <= j1; j++) {
-      const v = box[1] + (j + 0.5) * dy - my;
-      for (let i = i0; i <= i1; i++) {
-        const u = box[0] + (i + 0.5) * dx - mx;
-        const square = (yy * u * u - 2 * xy * u * v + xx * v * v) / det;
-        if (square < 16) grid[j * columns + i] += peak * Math.exp(-square / 2);
-      }
-    }
-  }
-  return grid;
+// The part of a polygon (simple, any turn) on one side of a line: axis 0 is x, sign 1 keeps what is above.
+function clipped(ring, axis, at, sign) {
+  const kept = [];
+  ring.forEach((p, i) => {
+    const q = ring[(i + 1) % ring.length];
+    const [a, b] = [sign * (p[axis] - at), sign * (q[axis] - at)];
+    if (a >= 0) kept.push(p);
+    if ((a > 0 && b < 0) || (a < 0 && b > 0)) kept.push(mix(p, q, a / (a - b)));
+  });
+  return kept;
 }
 
-// Covariances are rounded to the page's resolution: keep them positive.
-function regular(mixture, row) {
-  const xx = Math.max(mixture.xx[row], 0.05);
-  const yy = Math.max(mixture.yy[row], 0.05);
-  const limit = 0.999 * Math.sqrt(xx * yy);
-  return [xx, yy, Math.min(limit, Math.max(-limit, mixture.xy[row]))];
+// Area in square metres: of a ring whose way round is not known, and what clipping folds flat is none.
+function areaOf(ring) {
+  let twice = 0;
+  ring.forEach(([x, y], i) => {
+    const [u, v] = ring[(i + 1) % ring.length];
+    twice += x * v - u * y;
+  });
+  return Math.abs(twice) / 2;
 }
 
-// Expected number of objects in a rectangle: the x marginal by Gauss-Legendre quadrature on pieces
-// no wider than a standard deviation, times the exact probability of y given x.
-function expectedCount(mixture, rows, [x0, y0, x1, y1]) {
-  let total = 0;
-  for (const row of rows) {
-    const [xx, yy, xy] = regular(mixture, row);
-    const [mx, my, sx] = [mixture.x[row], mixture.y[row], Math.sqrt(xx)];
-    const [low, high] = [Math.max(x0, mx - 6 * sx), Math.min(x1, mx + 6 * sx)];
-    if (low >= high) continue;
-    const slope = xy / xx;
-    const sy = Math.sqrt(yy - xy * slope);
-    const pieces = Math.ceil((high - low) / sx);
-    const width = (high - low) / pieces;
-    let share = 0;
-    for (let piece = 0; piece < pieces; piece++) {
-      for (const [node, weight] of GAUSS_LEGENDRE) {
-        const x = low + (piece + (node + 1) / 2) * width;
-        const mean = my + slope * (x - mx);
-        const density = Math.exp(-((x - mx) ** 2) / (2 * xx)) / (sx * Math.sqrt(2 * Math.PI));
-        const inside = normalCdf((y1 - mean) / sy) - normalCdf((y0 - mean) / sy);
-        share += (weight / 2) * width * density * inside;
-      }
-    }
-    total += Math.exp(mixture.weight[row]) * share;
-  }
-  return total;
+function insideRing(ring, x, y) {
+  let inside = false;
+  ring.forEach(([ax, ay], i) => {
+    const [bx, by] = ring[(i + 1) % ring.length];
+    if (ay > y !== by > y && x < ax + ((y - ay) / (by - ay)) * (bx - ax)) inside = !inside;
+  });
+  return inside;
 }
 
-const GAUSS_LEGENDRE = [
-  [-0.8611363115940526, 0.3478548451374538],
-  [-0.3399810435848563, 0.6521451548625461],
-  [0.3399810435848563, 0.6521451548625461],
-  [0.8611363115940526, 0.3478548451374538],
-];
-
-// Standard normal distribution function (Abramowitz and Stegun 7.1.26, error below 1.5e-7).
-function normalCdf(z) {
-  const t = 1 / (1 + (0.3275911 * Math.abs(z)) / Math.SQRT2);
-  const poly =
-    t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))));
-  const erf = 1 - poly * Math.exp((-z * z) / 2);
-  return z >= 0 ? (1 + erf) / 2 : (1 - erf) / 2;
+function bounds(ring) {
+  const [x, y] = [ring.map((p) => p[0]), ring.map((p) => p[1])];
+  return [Math.min(...x), Math.min(...y), Math.max(...x), Math.max(...y)];
 }

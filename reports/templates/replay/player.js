@@ -16,6 +16,7 @@ class Player {
       follow: this.travels() ? "sensor" : "none",
       layers: new Set(),
       region: null,
+      open: false,
       hover: null,
       measuring: false,
     };
@@ -80,6 +81,8 @@ class Player {
       const button = event.target.closest("button");
       if (!button) return;
       if (button.dataset.do) this.act(button.dataset.do);
+      // Pressed by a key: there is no pointer to draw with.
+      if (button.dataset.do === "measure" && state.measuring && !event.detail) this.placeRegion();
       if (button.dataset.layer) this.toggleLayer(button.dataset.layer);
       if (button.dataset.tracker) this.choose(button.dataset.tracker);
     });
@@ -113,13 +116,24 @@ class Player {
       0: () => this.home(),
       f: () => this.act("follow"),
       w: () => this.act("worst"),
+      h: () => this.countByKey(),
       c: () => this.data.trackers.length > 1 && this.choose("compare"),
     };
+    if (this.state.measuring) Object.assign(keys, this.countingKeys(event.shiftKey));
     const digit = Number(event.key);
     const act = keys[event.key] ?? (digit >= 1 && digit <= this.data.trackers.length ? () => this.choose(digit - 1) : null);
-    if (!act || (typing && event.key.startsWith("Arrow")) || (event.key === " " && event.target.matches("button"))) return;
+    if (!act || (typing && event.key.startsWith("Arrow")) || ([" ", "Enter"].includes(event.key) && event.target.matches("button"))) return;
     event.preventDefault();
     act();
+  }
+
+  // While hidden objects are counted, the arrows move the region and, with shift, resize it.
+  countingKeys(resize) {
+    const keys = { Escape: () => this.act("measure"), Enter: () => this.closeRegion() };
+    if (!this.state.region || this.state.open) return keys;
+    const arrows = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+    for (const [key, [dx, dy]] of Object.entries(arrows)) keys[key] = () => this.moveRegion(dx, dy, resize);
+    return keys;
   }
 
   act(what) {
@@ -161,9 +175,15 @@ class Player {
     if (place) this.offset = [this.camera.x - place[0], this.camera.y - place[1]];
   }
 
+  countByKey() {
+    if (!this.find("[data-do=measure]")) return;
+    this.act("measure");
+    if (this.state.measuring) this.placeRegion();
+  }
+
   measure(on) {
     this.state.measuring = on;
-    if (!on) this.state.region = null;
+    if (!on) [this.state.region, this.state.open] = [null, false];
     this.find("[data-do=measure]").setAttribute("aria-pressed", on);
     this.find(".stages").classList.toggle("measuring", on);
   }
@@ -305,6 +325,7 @@ class Player {
       scene.draw(state, tracker);
       caption.textContent = this.caption(tracker);
     }
+    this.find(".counted").textContent = this.counted();
     this.plots.draw(state);
     this.slider.value = state.frame;
     const last = data.times[data.frames - 1];
@@ -326,9 +347,20 @@ class Player {
     return state.compare ? `${tracker.name}: ${words}` : words;
   }
 
-  // Expected and true number of undetected objects in [x0, y0, x1, y1], for the shown tracker.
-  hidden(box) {
-    return hiddenIn(this.data, this.data.trackers[this.state.tracker], this.state.frame, box);
+  // Expected and true number of undetected objects in a polygon of points, for the shown tracker.
+  hidden(ring) {
+    return hiddenIn(this.data, this.data.trackers[this.state.tracker], this.state.frame, ring);
+  }
+
+  // What is under way, or found, in words.
+  counted() {
+    const { region, open, measuring } = this.state;
+    if (!measuring) return "";
+    if (!region) return "Drag a rectangle, or click the corners of a polygon.";
+    if (open) return "Click the first corner again, or press Enter, to close the polygon.";
+    const { expected, there, hidden, area } = this.hidden(region);
+    const guess = expected === null ? "" : `${expected.toFixed(2)} undetected objects expected, `;
+    return `In ${Math.round(area)} m²: ${guess}${there} there; ${hidden} out of sight, found before or not.`;
   }
 }
 

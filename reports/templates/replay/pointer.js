@@ -25,7 +25,7 @@ const pointerWork = {
       if (this.corner) {
         const [x, y] = camera.toWorld(...now);
         const [u, v] = this.corner;
-        state.region = [Math.min(x, u), Math.min(y, v), Math.max(x, u), Math.max(y, v)];
+        [state.region, state.open] = [[[u, v], [x, v], [x, y], [u, y]], false];
       } else if (down.size === 2) {
         const other = [...down].find(([id]) => id !== event.pointerId)[1];
         const apart = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
@@ -43,19 +43,62 @@ const pointerWork = {
       canvas.addEventListener(name, (event) => down.delete(event.pointerId));
     }
     canvas.addEventListener("click", (event) => {
+      if (state.measuring) {
+        if (!this.dragged) this.addCorner(...here(event));
+        return;
+      }
       const hit = state.hover;
-      if (state.measuring || !hit?.table.object || this.dragged) return;
+      if (!hit?.table.object || this.dragged) return;
       this.follow({ table: hit.table, object: hit.table.object[hit.row] });
       this.refresh();
     });
     canvas.addEventListener("pointerleave", () => this.hover(canvas, tracker, -1e6, -1e6));
-    canvas.addEventListener("dblclick", () => this.home());
+    canvas.addEventListener("dblclick", () => (state.measuring ? this.closeRegion() : this.home()));
     canvas.addEventListener("wheel", (event) => {
       // A page that scrolls must not stick here: the wheel zooms once the replay has the focus.
       if (!event.ctrlKey && !this.root.contains(document.activeElement)) return;
       event.preventDefault();
       this.zoom(Math.exp(-event.deltaY * 0.0016), ...here(event));
     }, { passive: false });
+  },
+
+  // A click while counting: one more corner of a polygon; on its first corner, the last one.
+  addCorner(px, py) {
+    const { state, camera } = this;
+    const near = (p) => Math.hypot(p[0] - px, p[1] - py) < 12;
+    const corner = camera.toWorld(px, py);
+    if (!state.open) [state.region, state.open] = [[corner], true];
+    else if (near(camera.toScreen(...state.region[0]))) this.closeRegion();
+    else if (!near(camera.toScreen(...state.region.at(-1)))) state.region.push(corner);
+    this.refresh();
+  },
+
+  closeRegion() {
+    const { state } = this;
+    if (state.region?.length < 3) state.region = null;
+    state.open = false;
+    this.refresh();
+  },
+
+  // Counting without a pointer: a region in the middle of the picture, to be moved and resized.
+  placeRegion() {
+    const { state, camera } = this;
+    const [x, y] = [camera.width / camera.scale / 8, camera.height / camera.scale / 8];
+    const corner = (a, b) => [camera.x + a * x, camera.y + b * y];
+    state.region = [corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)];
+    state.open = false;
+    this.refresh();
+  },
+
+  // By metres; or, about its middle, wider and higher by twice that.
+  moveRegion(dx, dy, resize) {
+    const [x0, y0, x1, y1] = bounds(this.state.region);
+    const grown = (value, low, high, by) =>
+      high - low + 2 * by < 1 ? value : value + by * ((2 * (value - low)) / (high - low || 1) - 1);
+    this.state.region = this.state.region.map(([x, y]) =>
+      resize ? [grown(x, x0, x1, dx), grown(y, y0, y1, dy)] : [x + dx, y + dy],
+    );
+    this.refresh();
   },
 
   hover(canvas, view, px, py) {

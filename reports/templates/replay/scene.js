@@ -58,9 +58,10 @@ class Scene {
       if (on("tracks")) this.trackLabels(tracker, rows, paint);
       if (on("errors")) this.switches(tracker, frame);
     }
-    if (state.region) this.region(state.region, tracker, frame, colour);
+    if (state.region) this.region(state.region, state.open, tracker, frame);
     if (state.hover?.view === trackerIndex) this.outline(state.hover);
     this.scaleBar();
+    if (on("undetected") && tracker?.undetected) this.heatScale();
   }
 
   path(points) {
@@ -230,42 +231,56 @@ class Scene {
     }
   }
 
-  intensity(mixture, frame) {
-    const rows = mixture.at[frame];
-    if (!rows.length) return;
-    const { camera, heat } = this;
-    const cell = 5;
-    const [columns, lines] = [Math.ceil(camera.width / cell), Math.ceil(camera.height / cell)];
-    const [x0, y1] = camera.toWorld(0, 0);
-    const [x1, y0] = camera.toWorld(columns * cell, lines * cell);
-    const grid = intensityGrid(mixture, rows, [x0, y0, x1, y1], columns, lines);
-    [heat.width, heat.height] = [columns, lines];
-    const context = heat.getContext("2d");
-    const image = context.createImageData(columns, lines);
-    const [red, green, blue] = this.colours.heat;
-    for (let j = 0; j < lines; j++) {
-      for (let i = 0; i < columns; i++) {
-        const at = 4 * ((lines - 1 - j) * columns + i);
-        image.data.set([red, green, blue, 255 * heatOpacity(grid[j * columns + i])], at);
-      }
-    }
-    context.putImageData(image, 0, 0);
-    this.context.drawImage(heat, 0, 0, columns * cell, lines * cell);
+  intensity(grid, frame) {
+    const step = grid.step(frame);
+    if (step === undefined) return;
+    const key = [step, ...this.colours.heat].join();
+    if (this.painted !== grid || this.heat.dataset.key !== key) grid.paint(this.heat, step, this.colours.heat);
+    [this.painted, this.heat.dataset.key] = [grid, key];
+    const [left, low] = grid.corner(step);
+    const size = grid.side * grid.cell;
+    const [px, py] = this.camera.toScreen(left, low + size);
+    const c = this.context;
+    c.save();
+    c.imageSmoothingEnabled = true;
+    c.drawImage(this.heat, px, py, size * this.camera.scale, size * this.camera.scale);
+    c.restore();
   }
 
-  region(box, tracker, frame, colour) {
+  region(ring, open, tracker, frame) {
     const c = this.context;
-    const [ax, ay] = this.camera.toScreen(box[0], box[3]);
-    const [bx, by] = this.camera.toScreen(box[2], box[1]);
     c.save();
+    c.beginPath();
+    this.path(ring);
     c.strokeStyle = this.colours.ink;
     c.lineWidth = 1.5;
     c.setLineDash([5, 3]);
-    c.strokeRect(ax, ay, bx - ax, by - ay);
+    c.stroke();
+    if (open) {
+      c.fillStyle = this.colours.ink;
+      for (const [px, py] of ring.map((p) => this.camera.toScreen(...p))) c.fillRect(px - 3, py - 3, 6, 6);
+    }
     c.restore();
-    const count = hiddenIn(this.data, tracker, frame, box);
-    const expected = count.expected === null ? "" : `expected ${count.expected.toFixed(2)}, `;
-    this.text(`${expected}there ${count.there}`, (ax + bx) / 2, ay - 7, this.colours.ink, 13, "center", 650);
+    if (ring.length < 3) return;
+    const { expected, there } = hiddenIn(this.data, tracker, frame, ring);
+    const words = expected === null ? `there ${there}` : `expected ${expected.toFixed(2)}, there ${there}`;
+    const [x0, , x1, y1] = bounds(ring);
+    const [px, py] = this.camera.toScreen((x0 + x1) / 2, y1);
+    this.text(words, px, Math.max(18, py - 7), this.colours.ink, 13, "center", 650);
+  }
+
+  // What the heat means, beside the scale bar.
+  heatScale() {
+    const c = this.context;
+    const [x, y, width] = [this.camera.width - 128, this.camera.height - (this.low ?? 52), 84];
+    const [red, green, blue] = this.colours.heat;
+    for (let k = 0; k < width; k++) {
+      const density = 10 ** ((3 * k) / (width - 1) - 5);
+      c.fillStyle = `rgba(${red}, ${green}, ${blue}, ${heatOpacity(density)})`;
+      c.fillRect(x + k, y, 1, 7);
+    }
+    this.text(".001", x - 4, y + 7, this.colours.soft, 10, "right");
+    this.text("1 / 100 m²", x + width - 36, y - 5, this.colours.soft, 10, "left");
   }
 
   outline({ table, row }) {
@@ -315,23 +330,4 @@ Object.assign(Scene.prototype, trackMarks);
 
 function mix([ax, ay], [bx, by], share) {
   return [ax + (bx - ax) * share, ay + (by - ay) * share];
-}
-
-// From a thousandth of an object per 100 m2 (clear) to one (0.85), by decades.
-function heatOpacity(density) {
-  if (density <= 0) return 0;
-  return 0.85 * Math.min(1, Math.max(0, (Math.log10(density * 100) + 3) / 3));
-}
-
-// What the tracker expects in a rectangle, and how many never detected objects are there.
-function hiddenIn(data, tracker, frame, box) {
-  const { truth } = data;
-  const there = truth.at[frame].filter(
-    (row) =>
-      !(truth.flags[row] & 4) &&
-      truth.x[row] >= box[0] && truth.x[row] <= box[2] &&
-      truth.y[row] >= box[1] && truth.y[row] <= box[3],
-  ).length;
-  const mixture = tracker?.undetected;
-  return { there, expected: mixture ? expectedCount(mixture, mixture.at[frame], box) : null };
 }
