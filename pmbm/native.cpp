@@ -111,12 +111,13 @@ Output<double> log_density(Table<double> expected, Input<double> l11, Input<doub
 Output<std::int64_t> resumed(Table<double> expected, Input<double> l11, Input<double> l21,
                              Input<double> l22, Input<double> log_height,
                              Input<std::int64_t> origin, Input<double> share, Table<double> z,
-                             double threshold, double most, Input<double> probability,
-                             Input<std::int64_t> known) {
+                             Input<double> log_total, double threshold, double most,
+                             Input<double> probability, Input<std::int64_t> known) {
     std::vector<std::int64_t> origins;
     std::vector<double> shares;
     pmbm::explained(innovations(expected, l11, l21, l22), log_height.data(), origin.data(),
-                    share.data(), z.data(), z.shape(0), threshold, origins, shares);
+                    share.data(), z.data(), log_total.data(), z.shape(0), threshold, origins,
+                    shares);
     return hand_over(pmbm::resumed(std::move(origins), shares, most, probability.data(),
                                    known.data(), known.size()));
 }
@@ -141,10 +142,11 @@ nb::tuple correct(Table<double> mean, Table<double> cov, Input<double> l11, Inpu
 // Writes into mean (M,4) and cov (M,4,4).
 void fuse(Table<double> expected, Input<double> l11, Input<double> l21, Input<double> l22,
           Input<double> log_height, Table<double> mean_of, Table<double> cov_of, Table<double> R,
-          Table<double> z, double threshold, Written mean, Written cov) {
+          Table<double> z, Input<double> log_total, double threshold, Written mean, Written cov) {
     nb::gil_scoped_release released;
     pmbm::fuse(innovations(expected, l11, l21, l22), log_height.data(), mean_of.data(),
-               cov_of.data(), R.data(), z.data(), z.shape(0), threshold, mean.data(), cov.data());
+               cov_of.data(), R.data(), z.data(), log_total.data(), z.shape(0), threshold, mean.data(),
+               cov.data());
 }
 
 pmbm::TableView view(const Input<std::int64_t>& cluster, const Input<double>& log_weight,

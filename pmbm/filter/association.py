@@ -105,8 +105,8 @@ class Association:
     log_missed (H,) : log(1 - r P_D).  existence_if_missed (H,) : r of a missed track.
     detection (H,), detection_undetected (P,) : P_D of local hypotheses and of PPP components.
     undetected_if_missed : means (P,4) and covariances (P,4,4) of PPP components after the scan.
-    log_first (M,) : log e, e = sum of w P_D N(z) over gated PPP components; -inf where none is.
-    log_new (M,) : log(lambda_c + e).
+    log_e (M,) : of e = sum of w P_D N(z) over gated PPP components; -inf where none is.
+    log_first (M,) : log e, with what the scores say.  log_new (M,) : log(lambda_c + e), likewise.
     """
 
     parents: Globals
@@ -118,6 +118,7 @@ class Association:
     detection: FloatArray
     detection_undetected: FloatArray
     undetected_if_missed: tuple[FloatArray, FloatArray]
+    log_e: FloatArray
     log_first: FloatArray
     log_new: FloatArray
     children: Children
@@ -148,10 +149,10 @@ def associate(
 
     ppp = density.undetected
     detection_undetected, undetected_if_seen, if_missed = sensor.of_undetected(ppp.mean, ppp.cov)
-    undetected, log_first = _first_detections(
+    undetected, log_e = _first_detections(
         ppp, ppp.log_weight + _log(undetected_if_seen), z, sensor, gate_threshold
     )
-    log_clutter = _log(sensor.clutter)
+    log_first, log_clutter = log_e, _log(sensor.clutter)
     if scan.first is not None:
         log_first = log_first + _log(scan.first[:, 0])
         log_clutter = log_clutter + _log(scan.first[:, 1])
@@ -180,6 +181,7 @@ def associate(
         detection,
         detection_undetected,
         if_missed,
+        log_e,
         log_first,
         log_new,
         children,

@@ -153,16 +153,15 @@ inline std::vector<double> log_density(const Innovations& g, const double* log_h
 }
 
 // _explained() of resumption.py: the origin, other than -1, that makes up most of each measurement's
-// density, and its share; -1 and 0 where there is none.
+// density, whose log is `log_total`, and its share; -1 and 0 where there is none.
 inline void explained(const Innovations& g, const double* log_height, const std::int64_t* origin,
-                      const double* share_of_origin, const double* z, std::size_t measurements,
-                      double threshold, std::vector<std::int64_t>& origins,
+                      const double* share_of_origin, const double* z, const double* log_total,
+                      std::size_t measurements, double threshold, std::vector<std::int64_t>& origins,
                       std::vector<double>& shares) {
     struct Part {
         std::int64_t measurement, origin;
         double share;
     };
-    const auto log_total = log_density(g, log_height, z, measurements, threshold);
     std::vector<Part> parts;
     each_gated(g, z, measurements, threshold,
                [&](std::size_t i, std::int64_t j, double y0, double y1) {
@@ -303,12 +302,11 @@ inline void correct(const double* mean, const double* cov, const Innovations& g,
 }
 
 // The Gaussians (mean_of, cov_of) in whose gate each measurement lies, corrected by it and weighted
-// by their share in its density, as one Gaussian: mean (M,4) and cov (M,4,4).  A measurement that
+// by their share in its density, whose log is `log_total`, as one Gaussian: mean (M,4) and cov (M,4,4).  A measurement that
 // lies in no gate keeps what is there.
 inline void fuse(const Innovations& g, const double* log_height, const double* mean_of,
-                 const double* cov_of, const double* R, const double* z, std::size_t measurements,
-                 double threshold, double* mean, double* cov) {
-    const auto log_total = log_density(g, log_height, z, measurements, threshold);
+                 const double* cov_of, const double* R, const double* z, const double* log_total,
+                 std::size_t measurements, double threshold, double* mean, double* cov) {
     std::vector<Correction> correction;
     correction.reserve(g.count);
     for (std::size_t i = 0; i < g.count; ++i) {

@@ -41,13 +41,15 @@ def _resumed(
     density: Density, scan: Scan, association: Association, origin: Origin, new: Index
 ) -> NDArray[np.int64]:
     """Of each of the measurements `new` (n,), the id that it resumes, or ABSENT."""
-    z = scan.position[new]
+    z, log_e = scan.position[new], association.log_e[new]
     r = np.exp(association.log_first - association.log_new)[new]
     if compiled.native is not None:
         priced = association.undetected
         components = *priced.innovation.columns(), priced.log_height, origin.track, origin.share
-        return compiled.native.resumed(*components, z, priced.gate, _MOST, r, density.track_id)
-    track, share = _explained(origin, association.undetected, z)
+        return compiled.native.resumed(
+            *components, z, log_e, priced.gate, _MOST, r, density.track_id
+        )
+    track, share = _explained(origin, association.undetected, z, log_e)
     claims = np.flatnonzero((share > _MOST) & ~np.isin(track, density.track_id))
     # The least probable first: of those that claim one id, the last stays.
     order = claims[np.argsort(r[claims] * share[claims], kind="stable")]
@@ -58,18 +60,20 @@ def _resumed(
 
 
 def _explained(
-    origin: Origin, priced: Priced, z: FloatArray
+    origin: Origin, priced: Priced, z: FloatArray, log_e: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray]:
     """Of each of these first detections z (n,2), the recycled track that explains most of it, and
-    the share of e, the intensity of first detections there, that comes from it."""
+    the share of e, the intensity of first detections there, that comes from it.
+
+    log_e (n,) : of e.
+    """
     track, share = np.full(len(z), ABSENT, np.int64), np.zeros(len(z))
     rows = np.flatnonzero(origin.track != ABSENT)
     recycled = Priced(priced.innovation.take(rows), priced.log_height[rows], priced.gate)
     pairs = recycled.pairs(z)
     if not len(pairs.row):
         return track, share
-    log_e = priced.log_density(z)[pairs.measurement]
-    part = np.exp(pairs.log_weight - log_e) * origin.share[rows[pairs.row]]
+    part = np.exp(pairs.log_weight - log_e[pairs.measurement]) * origin.share[rows[pairs.row]]
     by_track = np.lexsort((origin.track[rows[pairs.row]], pairs.measurement))
     measurement = pairs.measurement[by_track]
     of_track = origin.track[rows[pairs.row[by_track]]]

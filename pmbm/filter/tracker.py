@@ -277,9 +277,9 @@ class PMBMTracker:
         marks = self._marks
         marginal = marginals(density, None if marks is None else marks.object)
         reported = np.flatnonzero(marginal.object > self.config.report_above)
-        local = density.local.take(marginal.best[reported])
-        inside = np.flatnonzero(view.share_inside(local.mean, local.cov) > 0.5)
-        reported, local = reported[inside], local.take(inside)
+        best = marginal.best[reported]
+        inside = view.share_inside(density.local.mean[best], density.local.cov[best]) > 0.5
+        reported, local = reported[inside], density.local.take(best[inside])
         return vouched(
             Tracks,
             time=self._time,

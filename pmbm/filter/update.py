@@ -193,7 +193,8 @@ def _fused(
     z = np.ascontiguousarray(scan.position[measurements])
     if compiled.native is not None:
         components = *priced.innovation.columns(), priced.log_height, ppp.mean, ppp.cov
-        compiled.native.fuse(*components, sensor.R, z, priced.gate, mean, cov)
+        log_e = association.log_e[measurements]
+        compiled.native.fuse(*components, sensor.R, z, log_e, priced.gate, mean, cov)
         return mean, cov
     pairs = priced.pairs(z)
     if len(pairs.row):

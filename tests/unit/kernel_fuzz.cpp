@@ -355,8 +355,9 @@ void fuzz_gate() {
         origin.push_back(whole(-1, 5));
         share.push_back(chance());
     }
-    pmbm::explained(g, height.data(), origin.data(), share.data(), z.data(), m, threshold, origins,
-                    shares);
+    const auto total = pmbm::log_density(g, height.data(), z.data(), m, threshold);
+    pmbm::explained(g, height.data(), origin.data(), share.data(), z.data(), total.data(), m,
+                    threshold, origins, shares);
     const pmbm::Ints known{1, 3};
     const pmbm::Floats probability(m, 0.5);
     const auto resumed = pmbm::resumed(origins, shares, 0.3, probability.data(), known.data(), 2);
@@ -370,8 +371,8 @@ void fuzz_gate() {
     }
     pmbm::Floats fused(4 * m, 7.0), spread_of(16 * m, 7.0);
     const double R[4] = {0.09, 0, 0, 0.09};
-    pmbm::fuse(g, height.data(), mean.data(), cov.data(), R, z.data(), m, threshold, fused.data(),
-               spread_of.data());
+    pmbm::fuse(g, height.data(), mean.data(), cov.data(), R, z.data(), total.data(), m, threshold,
+               fused.data(), spread_of.data());
     for (const auto value : fused) require(std::isfinite(value), "a mean is not finite");
     for (const auto value : spread_of) require(std::isfinite(value), "a covariance is not finite");
 }
