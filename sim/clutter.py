@@ -42,8 +42,9 @@ _ALIGNED_SPREAD = 0.2
 _BLOCK = 16
 _CELL = 40.0
 _CELLS_A_SIDE = 2**20
-_COMPANY = 18
-_COMPANY_SCORES = [9, 17]
+_COMPANY = 20
+_COMPANY_SCORES = [9, 19]
+_ECHO_SPREAD = 0.1
 
 
 _ONE = Curve.constant(1.0)
@@ -67,8 +68,9 @@ class FalseBoxes:
     typical_size : length, width, height, m; where absent, the label's usual one.
     companion_probability : of a further false box of the label near one.
     companion_spread : standard deviation of where that is about the first, x and y, m.
-    echo : probability of a further false box of another label at the same place, for each such
-        label.  Companions and echoes come and go with the box that they belong to.
+    echo : probability of a further false box of another label at the same place (give or take
+        0.1 m), for each such label.  Companions and echoes come and go with the box that they
+        belong to.
     """
 
     range_profile: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ONE
@@ -256,8 +258,8 @@ def _boxes_of_place(
 
 
 def _with_company(model: ClutterModel, boxes: Boxes, axis: FloatArray, draws: FloatArray) -> Boxes:
-    """Boxes with their companions and echoes; `draws` (R,18) are uniforms: whether there is a
-    companion, where (two), its look and score (seven), which echo, its look and score (seven)."""
+    """Boxes with their companions and echoes; `draws` (R,20) are uniforms: whether there is a
+    companion, where (two), its look and score (seven); which echo, where, its look and score."""
     if not model.has_company:
         return boxes
     parts = [boxes]
@@ -283,10 +285,10 @@ def _with_company(model: ClutterModel, boxes: Boxes, axis: FloatArray, draws: Fl
 
 
 def look_alike(model: ClutterModel, boxes: Boxes, label: IntArray, draws: FloatArray) -> Boxes:
-    """False boxes of those labels (R,) where `boxes` are and heading as they do; `draws` (R,7) are
-    uniforms of look and score."""
-    centre = boxes.position[:, :2]
-    echo = _false_boxes(model, boxes.frame, centre, boxes.yaw, label, draws[:, :6], draws[:, 6])
+    """False boxes of those labels (R,) where `boxes` are and heading as they do; `draws` (R,9) are
+    uniforms of place (two), look and score."""
+    centre = boxes.position[:, :2] + _ECHO_SPREAD * normal(draws[:, :2])
+    echo = _false_boxes(model, boxes.frame, centre, boxes.yaw, label, draws[:, 2:8], draws[:, 8])
     return replace(echo, yaw=boxes.yaw)
 
 

@@ -44,6 +44,7 @@ class Hits:
     """Every first box of an object, R of them, beside its truth.
 
     chance (R,) : row of `Chances`.
+    place (R,2) : from the sensor, x along its yaw, m.
     error (R,3) : of the centre, along and across the line of sight and upward, m.
     size (R,3), true_size (R,3) : m.
     yaw (R,), true_yaw (R,) : relative to the line of sight to the object, rad.
@@ -51,12 +52,17 @@ class Hits:
     """
 
     chance: IntArray
+    place: FloatArray
     error: FloatArray
     size: FloatArray
     true_size: FloatArray
     yaw: FloatArray
     true_yaw: FloatArray
     score: FloatArray
+
+    def take(self, rows: NDArray[Any]) -> Hits:
+        """Only these rows (indices or a mask)."""
+        return Hits(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     @property
     def yaw_error(self) -> FloatArray:
@@ -70,6 +76,7 @@ class Falses:
 
     recording (R,), frame (R,), label (R,) : where it is from, and what it says it is.
     position (R,2) : in the world, m.
+    place (R,2) : from the sensor, x along its yaw, m.
     distance (R,), bearing (R,) : from the sensor, bearing relative to its yaw.
     size (R,3), yaw (R,), score (R,) : yaw relative to the line of sight.
     """
@@ -78,6 +85,7 @@ class Falses:
     frame: IntArray
     label: IntArray
     position: FloatArray
+    place: FloatArray
     distance: FloatArray
     bearing: FloatArray
     size: FloatArray
@@ -159,6 +167,9 @@ def _gather(number: int, recording: Recording) -> tuple[Chances, Hits, Falses]:
     pose = np.array([detections.sensor_pose for detections in recording.detections])[delivery]
     distance, bearing = polar(box["position"], pose)
 
+    relative = wrap_angle(bearing - pose[:, 2])
+    place = distance[:, None] * np.stack([np.cos(relative), np.sin(relative)], axis=1)
+
     chance = np.where(first, chance_of[start[frame] + np.maximum(origin, 0)], -1)
     hit = chance >= 0
     true = seen.take(chance[hit])
@@ -168,6 +179,7 @@ def _gather(number: int, recording: Recording) -> tuple[Chances, Hits, Falses]:
     cos, sin = np.cos(true.bearing), np.sin(true.bearing)
     hits = Hits(
         chance=chance[hit],
+        place=place[hit],
         error=np.stack(
             [
                 offset[:, 0] * cos + offset[:, 1] * sin,
@@ -182,13 +194,13 @@ def _gather(number: int, recording: Recording) -> tuple[Chances, Hits, Falses]:
         true_yaw=wrap_angle(true.yaw - true.bearing),
         score=box["score"][hit],
     )
-    relative = wrap_angle(bearing - pose[:, 2])
     false = ~first & in_view(scene.site, distance, relative)
     falses = Falses(
         recording=np.full(np.count_nonzero(false), number),
         frame=frame[false],
         label=box["label"][false].astype(np.int64),
         position=box["position"][false, :2],
+        place=place[false],
         distance=distance[false],
         bearing=relative[false],
         size=box["size"][false],

@@ -69,7 +69,9 @@ class ObjectModel:
         go together reports no others.  Where absent, each shows in itself alone.
     size_correlation : correlation of the three errors of size: one number for every two, or three.
     lasting_size_error : share of the variance of the errors of size that an object keeps for life.
-    noise_anchor : as near_side_anchor, when the errors of size grow or shrink the box.
+    facing_anchor : how far the centre moves with all that makes the box smaller or larger than the
+        object, errors too, so that the side that faces the sensor stays: 0 not, 1 all the way, and
+        for sides seen at an angle by its cosine.
     yaw_noise : standard deviation, rad.
     flip_probability : of a heading turned by pi.
     error_persistence : correlation of the errors of centre, size and heading (but for flips) from
@@ -106,7 +108,7 @@ class ObjectModel:
     hidden_size_bias: Annotated[float, Bound(-0.8, 4.0)] = 0.0
     size_response: SizeResponse | None = None
     near_side_anchor: Annotated[float, SHARE] = 0.0
-    noise_anchor: Annotated[float, SHARE] = 0.0
+    facing_anchor: Annotated[float, SHARE] = 0.0
     length_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     width_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     height_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
@@ -176,16 +178,20 @@ def sense(model: ObjectModel, seen: Targets, streams: Streams, false_boxes: Clut
     detected = _detected(model, seen, streams)
     echo = None
     if model.echo:
-        echo = members.normals(streams, Purpose.ECHO, 8, model.score_persistence)[detected]
+        echo = members.normals(streams, Purpose.ECHO, 10, model.score_persistence)[detected]
     seen, errors, quality = seen.take(detected), errors[detected], quality[detected]
     errors *= np.exp(-model.quality_coupling * (quality + model.quality_coupling))[:, None]
     size = _biased_size(model, seen)
     reported = np.maximum(
         size + _size_error(model, seen, errors[:, 3:6]), _SMALLEST_SHARE_OF_SIZE * seen.size
     )
-    shift = _toward_sensor(seen, model.near_side_anchor * (seen.size - size))
-    if model.noise_anchor > 0:
-        shift = shift + _toward_sensor(seen, model.noise_anchor * (size - reported))
+    facing = _facing(seen)
+    shift = _in_world(
+        seen, model.near_side_anchor * np.sign(facing) * (seen.size - size)[:, :2] / 2
+    )
+    if model.facing_anchor > 0:
+        held = model.facing_anchor * facing * (seen.size - reported)[:, :2] / 2
+        shift = shift + _in_world(seen, held)
     boxes = Boxes(
         frame=seen.frame,
         origin=seen.row,
@@ -239,12 +245,15 @@ def _biased_size(model: ObjectModel, seen: Targets) -> FloatArray:
     return biased
 
 
-def _toward_sensor(seen: Targets, shrunk: FloatArray) -> FloatArray:
-    """Moves (R,3) of the centre that keep the visible side in place of boxes that are by so much
-    (R,3) smaller."""
+def _facing(seen: Targets) -> FloatArray:
+    """Cosines (R,2) of the angles between the object's axes, forward and left, and the line to the
+    sensor."""
     toward_sensor = seen.bearing + np.pi - seen.yaw
-    side = np.sign(np.stack([np.cos(toward_sensor), np.sin(toward_sensor)], axis=1))
-    local = side * shrunk[:, :2] / 2
+    return np.stack([np.cos(toward_sensor), np.sin(toward_sensor)], axis=1)
+
+
+def _in_world(seen: Targets, local: FloatArray) -> FloatArray:
+    """Moves (R,3) in the world of those along the object's axes (R,2)."""
     cos, sin = np.cos(seen.yaw), np.sin(seen.yaw)
     x = local[:, 0] * cos - local[:, 1] * sin
     y = local[:, 0] * sin + local[:, 1] * cos
@@ -280,7 +289,7 @@ def _label(model: ObjectModel, seen: Targets, streams: Streams) -> IntArray:
 def _echoes(
     model: ObjectModel, boxes: Boxes, draws: FloatArray, false_boxes: ClutterModel
 ) -> Boxes:
-    """False boxes of another label where `boxes` are; `draws` (R,8) are standard normals."""
+    """False boxes of another label where `boxes` are; `draws` (R,10) are standard normals."""
     uniform = cumulative_normal(draws)
     label = drawn_label(model.echo, uniform[:, 0])
     rows = label >= 0

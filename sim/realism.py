@@ -24,6 +24,8 @@ FEATURES: Final = (
 )
 _FOLDS: Final = 4
 _RIDGE: Final = 10.0
+_APART: Final = (0.05, 100.0)
+"""Distances are told apart between these, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,7 @@ def features(recording: Recording) -> tuple[FloatArray, IntArray]:
                     np.cos(side),
                     np.sin(side),
                     np.full(count, float(count)),
-                    np.log(np.minimum(apart.min(axis=1), 100.0)),
+                    np.log(np.clip(apart.min(axis=1), *_APART)),
                 ],
                 axis=1,
             )

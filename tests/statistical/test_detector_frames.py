@@ -359,3 +359,39 @@ def test_trials_and_objects_are_independent():
     # What is common to all objects of a frame would widen the spread of the frames' means.
     mean = errors[0].mean(axis=1) / (0.3 / np.sqrt(len(SOME)))
     assert ALPHA / 2 < stats.chi2.cdf(np.sum(np.square(mean)), len(mean)) < 1 - ALPHA / 2
+
+
+@pytest.mark.parametrize("persistent", [0.0, 1.0])
+def test_companions_and_echoes_of_false_boxes_come_on_top(persistent):
+    alone = {
+        "rate": 4.0,
+        "labels": {"pedestrian": 1.0},
+        "persistent_share": persistent,
+        "persistent_noise": 0.0,
+        "persistent_detection": 0.02,
+    }
+    scene = still(np.zeros((400, 0)))
+    company = {"companion_probability": 0.3, "companion_spread": 1.0, "echo": {"cyclist": 0.2}}
+    before = clutter(record(scene, clutter=alone))
+    after = clutter(record(scene, clutter=alone | company))
+    count = len(before["frame"])
+    people, echoes = after["label"] == Label.PEDESTRIAN, after["label"] == Label.CYCLIST
+    kept = {tuple(row) for row in np.c_[before["frame"], before["position"]].tolist()}
+    own = np.array(
+        [tuple(row) in kept for row in np.c_[after["frame"], after["position"]].tolist()]
+    )
+    assert own.sum() == count  # what was there stays to the bit
+    # Places live long: so many fewer draws.
+    draws = count if persistent == 0 else len({tuple(p) for p in before["position"].tolist()})
+    for found, share in ((people & ~own, 0.3), (echoes, 0.2)):
+        assert abs(found.sum() / count - share) < 5 * np.sqrt(share * (1 - share) / draws)
+    aside, near = [], []
+    for frame in range(400):
+        here = after["frame"] == frame
+        parents = after["position"][here & own, :2]
+        for rows, into in ((here & people & ~own, aside), (here & echoes, near)):
+            apart = after["position"][rows, None, :2] - parents
+            closest = np.linalg.norm(apart, axis=2).argmin(axis=1) if len(parents) else []
+            into += [apart[k, c] for k, c in enumerate(closest)]
+    assert np.std(aside) == pytest.approx(1.0, rel=0.2)
+    assert np.abs(near).max() < 0.6

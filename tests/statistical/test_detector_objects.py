@@ -5,11 +5,12 @@ Seeds are fixed; every test of a hypothesis has alpha 1e-4, so that a change of 
 
 import numpy as np
 import pytest
-from detector_scenes import detected, pairs, still
+from detector_scenes import clutter, detected, pairs, still
 from scipy import stats
 
+from pmbm.errors import InputError
 from pmbm.geometry import corners
-from pmbm.types import Label
+from pmbm.types import CLUTTER, Label
 from sim.boxes import TYPICAL_SIZE
 from sim.detector import load_profile
 
@@ -340,3 +341,99 @@ def test_errors_of_size_are_correlated_as_said_and_keep_their_spread():
     for axis, deviation in enumerate((0.3, 0.1, 0.2)):
         assert same_spread(error[:, axis], deviation)
     np.testing.assert_allclose(np.corrcoef(error.T)[np.triu_indices(3, 1)], 0.6, atol=0.02)
+
+
+def test_sizes_that_go_together_and_three_correlations_are_as_said():
+    scene = still(MANY, frames=1)
+    typical, response = (
+        np.array([3.9, 1.6, 1.5]),
+        np.array([[0.7, 0.4, 0.0], [0.1, 0.3, 0.0], [0.0, 0.1, 0.6]]),
+    )
+    seen = pairs(
+        record(
+            scene,
+            typical_size=typical.tolist(),
+            size_response=response.tolist(),
+            size_pull=0.5,
+        )
+    )
+    expected = typical + 0.5 * (seen["true_size"] - typical) @ response.T
+    np.testing.assert_allclose(seen["size"], expected)
+    noisy = pairs(
+        record(
+            still(MANY),
+            length_noise=0.3,
+            width_noise=0.1,
+            height_noise=0.2,
+            size_correlation=[0.7, -0.2, 0.3],
+        )
+    )
+    error = noisy["size"] - noisy["true_size"]
+    found = np.corrcoef(error.T)[np.triu_indices(3, 1)]
+    np.testing.assert_allclose(found, [0.7, -0.2, 0.3], atol=0.02)
+    for axis, deviation in enumerate((0.3, 0.1, 0.2)):
+        assert same_spread(error[:, axis], deviation)
+    for impossible in ([0.9, 0.9, -0.9], -0.1):
+        with pytest.raises(InputError, match="impossible size_correlation"):
+            record(scene, size_correlation=impossible)
+
+
+def test_the_lasting_share_of_size_errors_stays_with_an_object():
+    knobs = {"length_noise": 0.2, "width_noise": 0.2, "height_noise": 0.2}
+    seen = pairs(
+        record(still(MANY, frames=40), lasting_size_error=0.6, error_persistence=0.3, **knobs)
+    )
+    error = (seen["size"] - seen["true_size"]) / 0.2
+    assert error.std() == pytest.approx(1.0, abs=0.03)
+    order = np.lexsort((seen["frame"], seen["object"]))
+    # Every object is seen in every frame: (objects, frames, 3).
+    runs = error[order].reshape(-1, 40, 3)
+    for lag, expected in ((1, 0.6 + 0.4 * 0.3), (20, 0.6)):
+        correlation = (runs[:, lag:] * runs[:, :-lag]).mean() / np.square(runs).mean()
+        assert correlation == pytest.approx(expected, abs=0.04)
+
+
+def test_the_side_that_faces_the_sensor_stays_where_the_box_errs_in_size():
+    scene = still(MANY, yaw=np.random.default_rng(2).uniform(-3, 3, len(MANY)), frames=1)
+    knobs = {"length_noise": 0.3, "width_noise": 0.1, "size_pull": 0.3}
+    free, held = (pairs(record(scene, facing_anchor=anchor, **knobs)) for anchor in (0.0, 1.0))
+    np.testing.assert_array_equal(free["size"], held["size"])
+    np.testing.assert_array_equal(free["position"], free["true_position"])
+    to_sensor = scene.sensor_pose[0, :2] - held["true_position"][:, :2]
+    to_sensor /= np.linalg.norm(to_sensor, axis=1)[:, None]
+    move = held["position"] - held["true_position"]
+    for axis, turn in ((0, 0.0), (1, np.pi / 2)):
+        heading = held["true_yaw"] + turn
+        forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        faces = (forward * to_sensor).sum(axis=1)
+        smaller = (held["true_size"] - held["size"])[:, axis]
+        # Seen end on, the face stays: the centre moves toward it by half of what is lost.
+        expected = faces * smaller / 2
+        np.testing.assert_allclose((forward * move[:, :2]).sum(axis=1), expected, atol=1e-12)
+    half = pairs(record(scene, facing_anchor=0.5, **knobs))
+    np.testing.assert_allclose(half["error"], held["error"] / 2, atol=1e-12)
+
+
+def test_echoes_come_as_often_as_said_where_the_box_is_and_last():
+    knobs = {"echo": {"pedestrian": 0.2, "cyclist": 0.1}, "score_persistence": 0.8}
+    scene = still(MANY, frames=60)
+    recording = record(scene, **knobs)
+    plain = record(scene)
+    false = clutter(recording)
+    boxes = len(MANY) * 60
+    for label, share in ((Label.PEDESTRIAN, 0.2), (Label.CYCLIST, 0.1)):
+        found = np.count_nonzero(false["label"] == label)
+        # Five standard errors of a share whose draws last as long as an AR(1) of 0.8 lets them.
+        assert abs(found / boxes - share) < 5 * np.sqrt(share * (1 - share) / boxes * 9)
+    for detections, first, origin in zip(
+        recording.detections, plain.detections, recording.origin, strict=True
+    ):
+        true = origin != CLUTTER
+        np.testing.assert_array_equal(
+            np.sort(detections.position[true], axis=0), np.sort(first.position, axis=0)
+        )
+        apart = np.linalg.norm(
+            detections.position[~true, None, :2] - detections.position[true, :2], axis=2
+        )
+        assert (apart.min(axis=1) < 0.6).all()
+    assert set(false["label"].tolist()) == {Label.PEDESTRIAN, Label.CYCLIST}

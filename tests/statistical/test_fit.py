@@ -89,16 +89,83 @@ def test_the_fit_finds_the_detector_that_made_the_recordings(fitted):
     assert car.error_persistence == pytest.approx(0.6, abs=0.06)
     assert car.score_persistence == pytest.approx(0.5, abs=0.06)
     assert car.quality_coupling == pytest.approx(0.2, abs=0.05)
-    assert car.size_correlation == pytest.approx(0.5, abs=0.06)
+    np.testing.assert_allclose(car.size_correlation, 0.5, atol=0.06)
     for name, value in (("length_noise", 0.3), ("width_noise", 0.1), ("yaw_noise", 0.05)):
         np.testing.assert_allclose(getattr(car, name)(at), value, rtol=0.15)
     assert fitted.clutter.rate == pytest.approx(3.0, rel=0.1)
     assert fitted.clutter.labels[Label.PEDESTRIAN] == pytest.approx(1 / 3, abs=0.05)
     assert fitted.clutter.of(Label.CAR).aligned_share == pytest.approx(0.5, abs=0.1)
-    assert fitted.clutter.of(Label.CAR).size_correlation == pytest.approx(0.4, abs=0.1)
+    np.testing.assert_allclose(fitted.clutter.of(Label.CAR).size_correlation, 0.4, atol=0.1)
+    assert car.lasting_size_error < 0.1
+    assert car.duplicate_probability < 0.01
+    assert fitted.clutter.of(Label.CAR).companion_probability < 0.03
+    assert sum(car.echo.values()) < 0.01
     assert fitted.clutter.persistent_share < 0.05
     assert "10 recordings" in fitted.provenance
     assert load_profile(fitted.plain()) == fitted
+
+
+def test_how_a_detector_takes_sizes_and_where_it_holds_its_boxes_are_found():
+    response = [[0.7, 0.5, 0.1], [0.1, 0.3, 0.1], [0.0, 0.1, 0.8]]
+    knobs = {
+        "size_response": response,
+        "size_pull": {"at": [20.0, 70.0], "value": [0.0, 0.5]},
+        "typical_size": [4.2, 1.7, 1.6],
+        "size_correlation": [0.6, 0.2, 0.5],
+        "lasting_size_error": 0.6,
+        "error_persistence": 0.5,
+        "facing_anchor": 0.6,
+        "length_noise": 0.2,
+        "width_noise": 0.05,
+        "height_noise": 0.1,
+        "radial_noise": 0.1,
+        "lateral_noise": 0.1,
+    }
+    model = load_profile({}, {"objects": knobs})
+    car = fit_detector(
+        [model.detect(of_many_sizes(world(seed, frames=15), seed), seed) for seed in range(30)]
+    ).of(Label.CAR)
+    np.testing.assert_allclose(car.size_response, response, atol=0.12)
+    at = np.array([20.0, 45.0, 70.0])
+    np.testing.assert_allclose(car.size_pull(at), [0.0, 0.25, 0.5], atol=0.1)
+    np.testing.assert_allclose(car.size_correlation, [0.6, 0.2, 0.5], atol=0.08)
+    assert car.lasting_size_error == pytest.approx(0.6, abs=0.08)
+    assert car.error_persistence == pytest.approx(0.5, abs=0.06)
+    assert car.facing_anchor == pytest.approx(0.6, abs=0.1)
+    np.testing.assert_allclose(car.radial_noise(at), 0.1, rtol=0.15)
+
+
+def of_many_sizes(scene, seed):
+    """The scene with cars of other sizes."""
+    count = len(scene.truth[0])
+    size = [4.2, 1.7, 1.6] + [0.5, 0.15, 0.2] * np.random.default_rng(seed).normal(size=(count, 3))
+    return replace(scene, truth=tuple(replace(frame, size=size) for frame in scene.truth))
+
+
+def test_boxes_that_come_with_others_are_found():
+    overrides = {
+        "objects": {"duplicate_probability": 0.1, "duplicate_spread": 0.5},
+        "label": {"car": {"echo": {"truck": 0.2}}},
+        "clutter": {
+            "rate": 4.0,
+            "labels": {"car": 1.0, "pedestrian": 1.0},
+            "companion_spread": 1.0,
+            "label": {
+                "pedestrian": {"companion_probability": 0.3, "echo": {"cyclist": 0.25}},
+            },
+        },
+    }
+    model = load_profile({}, overrides)
+    fitted = fit_detector([model.detect(world(seed, frames=30), seed) for seed in range(12)])
+    car = fitted.of(Label.CAR)
+    assert car.duplicate_probability == pytest.approx(0.1, abs=0.03)
+    assert car.duplicate_spread == pytest.approx(0.5, rel=0.25)
+    assert car.echo[Label.TRUCK] == pytest.approx(0.2, abs=0.04)
+    false = fitted.clutter
+    assert false.of(Label.PEDESTRIAN).echo[Label.CYCLIST] == pytest.approx(0.25, abs=0.06)
+    assert false.rate == pytest.approx(4.0, rel=0.1)
+    assert false.of(Label.PEDESTRIAN).companion_probability == pytest.approx(0.3, abs=0.1)
+    assert false.of(Label.PEDESTRIAN).companion_spread == pytest.approx(1.0, rel=0.3)
 
 
 @pytest.mark.slow
