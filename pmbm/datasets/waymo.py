@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from pmbm.datasets.files import Place, prepare_folder, replace_bytes, safe_name
 from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
@@ -32,6 +34,7 @@ from pmbm.datasets.waymo_files import (
 )
 from pmbm.datasets.wire import encode
 from pmbm.errors import InputError, nearest_hint
+from pmbm.geometry import iou
 from pmbm.types import Label, Recording, TrackSequence
 
 _LABELS: Final[Mapping[str, Label]] = {
@@ -117,13 +120,18 @@ class Waymo:
         )
 
     def write(self, sequence: str, tracks: TrackSequence, out: Path) -> Path:
-        """Write `out`/SEGMENT.bin, a metrics.Objects message, and give its path."""
+        """Write `out`/SEGMENT.bin, a metrics.Objects message, and give its path.
+
+        A box that overlaps a detection which is marked as overlapping a no-label zone is marked so,
+        too: the official script knows zones by that mark alone.
+        """
         timeline = self._known_timeline(sequence)
         frames = submission_boxes(timeline, tracks, _LABELS, self.classes)
+        zones = {} if self.detections is None else self._detected(sequence)
         objects = [
-            _object(box, sequence, stamp)
+            _object(box, sequence, stamp, unlabelled)
             for stamp, boxes in zip(timeline.stamps, frames, strict=True)
-            for box in boxes
+            for box, unlabelled in zip(boxes, _in_zones(boxes, zones.get(stamp, [])), strict=True)
         ]
         name = safe_name(sequence, Place(self.root), "sequences")
         path = prepare_folder(Path(out)) / f"{name}.bin"
@@ -230,7 +238,21 @@ def _segment(segments: Mapping[str, Found], sequence: str, path: Path) -> Found:
     return segments[sequence]
 
 
-def _object(box: Box, sequence: str, stamp: int) -> dict[str, Any]:
+def _in_zones(boxes: Sequence[Box], detected: Sequence[Box]) -> list[bool]:
+    """Whether each box overlaps, seen from above, a detection in a no-label zone."""
+    marked = [box for box in detected if box.excused]
+    if not boxes or not marked:
+        return [False] * len(boxes)
+    first, second = ([np.array(column) for column in _geometry(side)] for side in (boxes, marked))
+    shared = iou(*first, *second, vertical=False)
+    return [bool(row.any()) for row in shared > 0]
+
+
+def _geometry(boxes: Sequence[Box]) -> tuple[list[Any], list[Any], list[float]]:
+    return [b.place for b in boxes], [b.size for b in boxes], [b.yaw for b in boxes]
+
+
+def _object(box: Box, sequence: str, stamp: int, unlabelled: bool) -> dict[str, Any]:
     centre = {f"center_{axis}": value for axis, value in zip("xyz", box.place, strict=True)}
     sides = dict(zip(("length", "width", "height"), box.size, strict=True))
     return {
@@ -240,6 +262,7 @@ def _object(box: Box, sequence: str, stamp: int) -> dict[str, Any]:
             "id": box.name,
         },
         "score": box.score,
+        **({"overlap_with_nlz": True} if unlabelled else {}),
         "context_name": sequence,
         "frame_timestamp_micros": stamp,
     }

@@ -13,6 +13,8 @@ import pytest
 from pmbm.cli import main
 from pmbm.datasets import load, open_dataset
 from pmbm.datasets.argoverse2 import Argoverse2
+from pmbm.datasets.waymo_files import OBJECTS, decoded
+from pmbm.datasets.wire import encode
 from pmbm.errors import InputError
 from pmbm.types import Label, Tracks, TrackSequence
 
@@ -385,6 +387,23 @@ class TestNuScenes:
         shutil.copy(folder / "nuscenes" / "tracks.json", folder / "out" / "scene-0001.json")
         tracks = opened(folder, "nuscenes").read("scene-0001", folder / "out")
         assert [t.id.tolist() for t in tracks] == [[5], [], [5]]
+
+
+def test_a_box_on_a_detection_in_a_no_label_zone_is_marked_too(folder):
+    """The first frame's car is detected inside one: its track there is no false positive."""
+    dataset = opened(folder, "waymo")
+    made = dataset.recording(SEGMENT)
+    file = folder / "waymo" / "detections.bin"
+    message = decoded(file)
+    message["objects"][0]["overlap_with_nlz"] = True
+    file.write_bytes(encode(message, OBJECTS))
+    seen = message["objects"][0]["object"]["box"]
+    path = dataset.write(SEGMENT, as_tracks(made), folder / "out")
+    marked = [one["object"]["box"] for one in decoded(path)["objects"] if "overlap_with_nlz" in one]
+    assert len(marked) == 1
+    assert math.hypot(*(marked[0][f"center_{c}"] - seen[f"center_{c}"] for c in "xy")) < 1.0
+    kind = dataset.classes[0]
+    assert dataset.compared(SEGMENT, kind, folder / "out").excused.sum() == 1
 
 
 def submit(*arguments):
