@@ -235,6 +235,19 @@ class Kitti:
         write_zip(path, {f"{name}.txt": Path(folder) / f"{name}.txt" for name in sequences})
         return path
 
+    def unjudged(self, sequence: str) -> tuple[BoolArray, ...]:
+        """Of the detections of each frame, as `recording` has them, those that the labels leave
+        open: no higher than 25 pixels, or more than half inside a DontCare region."""
+        _, poses = self._places(sequence)
+        labels = self._labels(sequence)
+        seen = [self._detections(sequence, kind) for kind in self._kinds()]
+        frames = self._frames(sequence, poses, [*seen, labels])
+        parts = [(_excused(one, labels), _by_frame(one, frames)) for one in seen]
+        return tuple(
+            np.concatenate([np.zeros(0, bool), *(flag[rows[k]] for flag, rows in parts)])
+            for k in range(frames)
+        )
+
     def objects(self, sequence: str) -> KittiObjects:
         """The labels in the dataset's own terms."""
         return self._labels(sequence)

@@ -53,6 +53,11 @@ class PMBMConfig:
     visibility : a chain of being seen, with `detection_probability`, and not seen; None, misses
         are independent.
 
+    Boxes (beside the filter)
+    newest_box : weight, in (0, 1], of the newest detection in a track's height above ground and
+        size, against all before it; 1 copies the last detection, as the paper does.  Headings are
+        always the last detection's.
+
     Undetected objects (Sec. 2.2)
     birth_rate : expected new objects per second over the field of view, >= 0.
     initial_objects : expected number of objects in view before the first frame, >= 0.
@@ -101,6 +106,7 @@ class PMBMConfig:
     kinds: Kinds | None = None
     levels: Levels | None = None
     visibility: Visibility | None = _RUNS_OF_MISSES
+    newest_box: float = 1.0
     birth_rate: float = 0.5
     initial_objects: float = 3.0
     birth_components: int = 7
@@ -227,6 +233,7 @@ _BOUNDS: dict[str, tuple[float, float, bool, bool]] = {
     "detection_low": _PROBABILITY,
     "detection_high": _PROBABILITY,
     "newest_score": (0.0, 1.0, True, False),
+    "newest_box": (0.0, 1.0, True, False),
     "birth_rate": _NOT_NEGATIVE,
     "initial_objects": _NOT_NEGATIVE,
     "birth_components": _COUNT,

@@ -21,7 +21,7 @@ from pmbm.filter.tracker import PMBMTracker
 from pmbm.score import Calibration
 from pmbm.types import CLUTTER, BoolArray, FloatArray, IntArray, Label, Recording
 
-_LEVELS = 16
+_LEVELS = 24
 _ROUNDS = 60
 _WORTH = 10
 """Detections up to which a source counts in proportion to them: a second's at 10 Hz."""
@@ -121,7 +121,6 @@ def fit_levels(
     is_object: BoolArray,
     label: Label,
     calibration: Calibration,
-    lasting: float,
 ) -> Levels:
     """The levels of S sources, each with the log-odds (n,) of its detections, by
     expectation-maximisation.
@@ -144,14 +143,14 @@ def fit_levels(
     fit = -0.5 * count[:, None] * (mean[:, None] - level) ** 2 / variance
 
     worth = np.minimum(count[lasts], _WORTH) / _WORTH
-    share = np.full(_LEVELS, 1 / _LEVELS)
+    birth = np.full(_LEVELS, 1 / _LEVELS)
     design = np.column_stack([np.ones(_LEVELS), level])
     weight = np.array([0.0, 1.0])
     for _ in range(_ROUNDS):
         real = _logistic(design @ weight)
         said = np.where(y[lasts, None], real, 1 - real).clip(1e-12)
-        each = _normalised(fit[lasts] + np.log(share) + np.log(said))
-        share = _shares(each.sum(axis=0))
+        each = _normalised(fit[lasts] + np.log(birth) + np.log(said))
+        birth = _shares(each.sum(axis=0))
         counted = each * worth[:, None]
         weight = _logistic_fit(
             design, (counted * y[lasts, None]).sum(axis=0), counted.sum(axis=0), weight
@@ -165,10 +164,9 @@ def fit_levels(
         calibration=calibration,
         level=level,
         scatter=float(np.sqrt(variance)),
-        share=share,
-        real=_logistic(design @ weight),
+        birth=birth,
+        object=_logistic(design @ weight),
         clutter=clutter,
-        lasting=lasting,
     )
 
 

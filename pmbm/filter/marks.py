@@ -119,40 +119,36 @@ class Kinds:
 class Levels:
     """How sure the detector is of a source of detections, as a trait that lasts.
 
-    The scores of one object scatter about a level, and so do those of a pole: frame after frame
-    they say the same again, and only when the level changes (a nearer view, another side) do they
-    say something new.  Objects and poles have levels of their own; a source is for ever either.  As
-    kinds, there is one for an object at each level, and after them one for a pole at each.
+    The scores of one object scatter about a level of its own, and so do those of a pole: frame
+    after frame they say the same again.  The tracker learns a source's level, and the level says
+    how probably the source is an object; a long life makes the level certain, not the object.
 
     label : of the sources; detections of other labels count as rivals alone.
     calibration : log-odds of detections, whose scale the levels are on.
     level (L,) : log-odds, rising.  scatter : sd of a detection's log-odds about its source's level.
-    share (L,) : of new sources that have each level; adds up to one.
-    real (L,) : P(object | level) of such a source, in [0, 1].
+    birth (L,) : share of new sources that have each level; adds up to one.
+    object (L,) : P(object | level), in [0, 1].
     clutter (L,) : shares of levels in detections that come from no lasting source; adds up to one.
-    lasting : mean time until a level changes, s, > 0.
     """
 
     label: int
     calibration: Calibration
     level: FloatArray
     scatter: float
-    share: FloatArray
-    real: FloatArray
+    birth: FloatArray
+    object: FloatArray
     clutter: FloatArray
-    lasting: float
 
     def __post_init__(self) -> None:
         door = Door(self, "levels")
         levels = np.size(self.level)
         door.number("scatter", above=0.0)
-        door.number("lasting", above=0.0)
         door.floats("level", (max(levels, 1),))
-        for name in ("share", "real", "clutter"):
+        for name in ("birth", "object", "clutter"):
             door.unit_interval(name, levels)
         if (np.diff(self.level) <= 0).any():
             raise InputError("levels", field="level", expected="strictly rising", got=self.level)
-        for name in ("share", "clutter"):
+        for name in ("birth", "clutter"):
             values = getattr(self, name)
             if abs(values.sum() - 1) > 1e-6:
                 raise InputError(
@@ -161,33 +157,12 @@ class Levels:
         if self.label not in list(Label):
             raise InputError("levels", field="label", expected="a label", got=self.label)
 
-    @property
-    def birth(self) -> FloatArray:
-        """(2L,) share of new sources that are of each kind."""
-        return np.concatenate([self.share * self.real, self.share * (1 - self.real)])
-
-    @property
-    def object(self) -> FloatArray:
-        """(2L,) whether each kind is an object."""
-        return np.repeat([1.0, 0.0], len(self.level))
-
     def evidence(self, log_odds: FloatArray) -> FloatArray:
-        """(M,2L) p(log-odds | kind) / p(log-odds | clutter) of detections (M,)."""
+        """(M,L) p(log-odds | level) / p(log-odds | clutter) of detections (M,)."""
         apart = (log_odds[:, None] - self.level) / self.scatter
         nearest = np.abs(apart).min(axis=1, initial=np.inf, keepdims=True)
         height = np.exp(0.5 * (nearest**2 - apart**2))
-        ratio = height / np.maximum(height @ self.clutter, 1e-6)[:, None]
-        return np.concatenate([ratio, ratio], axis=1)
-
-    def after(self, kind: FloatArray, dt: float) -> FloatArray:
-        """P(kind) (H,2L) after `dt` seconds, from that before: a level that changes is drawn anew
-        from those of the source's own sort."""
-        stays = np.exp(-dt / self.lasting)
-        sort = kind.reshape(len(kind), 2, len(self.level)).sum(axis=2)
-        levels = self.birth.reshape(2, -1)
-        levels = levels / np.maximum(levels.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-        drawn = (sort[:, :, None] * levels).reshape(kind.shape)
-        return stays * kind + (1 - stays) * drawn
+        return height / np.maximum(height @ self.clutter, 1e-6)[:, None]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from pmbm.filter.density import Index, Locals, Mixture
 from pmbm.types import FloatArray, Site
 
 if TYPE_CHECKING:
-    from pmbm.filter.marks import Levels, Visibility
+    from pmbm.filter.marks import Visibility
     from pmbm.filter.occlusion import Shadows
 
 LEAST_VISIBLE_TO_BE_SEEN = 0.05
@@ -27,7 +27,6 @@ class Transition:
 
     F (4,4), Q (4,4) over [x, y, vx, vy]; survival : P_S over the interval.
     dt : s.  visibility : how the detector loses and finds objects meanwhile, or None.
-    levels : how sources change the level of their scores meanwhile, or None.
     """
 
     F: FloatArray
@@ -35,7 +34,6 @@ class Transition:
     survival: float
     dt: float = 0.0
     visibility: Visibility | None = None
-    levels: Levels | None = None
 
 
 def constant_velocity(dt: float, spectral_density: float) -> tuple[FloatArray, FloatArray]:
@@ -143,6 +141,7 @@ class Sensor:
     from_scores : None where P_D does not depend on a track's past scores.
     scaled_misses : the paper's rule for a miss (Sec. 2.6) in place of Bayes'.
     visibility : None where misses do not come in runs.
+    newest_box : weight of a new detection's height and size in a track's box.
     """
 
     R: FloatArray
@@ -154,6 +153,7 @@ class Sensor:
     from_scores: DetectionFromScores | None = None
     scaled_misses: bool = False
     visibility: Visibility | None = None
+    newest_box: float = 1.0
 
     def of_undetected(
         self, mean: FloatArray, cov: FloatArray
@@ -221,6 +221,14 @@ class Sensor:
         if self.visibility is None or seen is None:
             return seen
         return self.visibility.if_detected(seen)
+
+    def boxed(self, before: FloatArray, detected: FloatArray) -> FloatArray:
+        """Boxes (n,5) after detections: height and size with those before, the newest heading."""
+        if self.newest_box == 1:
+            return detected
+        box = before + self.newest_box * (detected - before)
+        box[:, 4] = detected[:, 4]
+        return box
 
     def remembered(
         self, before: FloatArray | None, scores: FloatArray | None, measurement: Index

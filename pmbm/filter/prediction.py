@@ -36,7 +36,6 @@ def predict(
             existence=local.existence * transition.survival,
             mean=mean,
             cov=cov,
-            kind=_kind(local.kind, transition),
             seen=_seen(local.seen, transition),
         ),
     )
@@ -71,12 +70,6 @@ def _seen(seen: FloatArray | None, transition: Transition) -> FloatArray | None:
     if seen is None or transition.visibility is None:
         return seen
     return transition.visibility.after(seen, transition.dt)
-
-
-def _kind(kind: FloatArray | None, transition: Transition) -> FloatArray | None:
-    if kind is None or transition.levels is None:
-        return kind
-    return transition.levels.after(kind, transition.dt)
 
 
 def _moved(

@@ -24,8 +24,8 @@ _POINTS_AHEAD = (Label.CAR, Label.TRUCK, Label.BUS, Label.MOTORCYCLIST, Label.CY
 """What moves where its box points."""
 _MOVING = 1.0
 """m/s from which a velocity tells front from back."""
-_SHRUNK = 0.999
-"""A detection leaves less than this share of the predicted covariance's determinant."""
+_AS_UPDATED = 1.05
+"""Factor on the area of a position's covariance up to which it is that of a Kalman update."""
 
 
 def smooth(
@@ -45,7 +45,7 @@ def smooth(
     Parameters
     ----------
     steps : what the tracker reported, in order of time, with covariances; boxes as detected.
-    config : of that tracker; its process noise is needed (default: `PMBMConfig()`).
+    config : of that tracker; its noise is needed (default: `PMBMConfig()`).
 
     Raises
     ------
@@ -59,7 +59,7 @@ def smooth(
         raise InputError("smoothing needs the tracks' covariances", field="covariance")
     lives = []
     for number, rows in sorted(_rows_of_tracks(steps).items()):
-        life, forward = _forward(_life(steps, number, rows, times), config.spectral_density)
+        life, forward = _forward(_life(steps, number, rows, times), config)
         if life.score[-1] > report_above:
             lives.append(_with_boxes(_backward(life, forward)))
     return tuple(_step(one, number, lives) for number, one in enumerate(steps))
@@ -143,32 +143,30 @@ class _Forward:
     cov: FloatArray
 
 
-def _forward(life: _Life, spectral_density: float) -> tuple[_Life, _Forward]:
+def _forward(life: _Life, config: PMBMConfig) -> tuple[_Life, _Forward]:
     """The life with its gaps predicted through, up to its last detection.
 
-    A report that is no surer of the place than its prediction was of a track that was missed.
+    A report that is less sure of the place than a measurement makes it is of a track that was
+    missed.
     """
+    information = np.eye(2) / config.measurement_sd**2
     n = len(life.mean)
     mean, cov, detected = life.mean.copy(), life.cov.copy(), life.reported.copy()
     predicted_mean, predicted_cov = mean.copy(), cov.copy()
     F = np.empty((n, 4, 4))
     for k in range(1, n):
-        F[k], Q = constant_velocity(float(life.time[k] - life.time[k - 1]), spectral_density)
+        F[k], Q = constant_velocity(float(life.time[k] - life.time[k - 1]), config.spectral_density)
         predicted_mean[k] = F[k] @ mean[k - 1]
         predicted_cov[k] = F[k] @ cov[k - 1] @ F[k].T + Q
         if not life.reported[k]:
             mean[k], cov[k] = predicted_mean[k], predicted_cov[k]
-        detected[k] &= _area(cov[k]) < _SHRUNK * _area(predicted_cov[k])
+        updated = np.linalg.inv(np.linalg.inv(predicted_cov[k, :2, :2]) + information)
+        detected[k] &= np.linalg.det(cov[k, :2, :2]) <= _AS_UPDATED * np.linalg.det(updated)
     whole = replace(life, mean=mean, cov=cov, detected=detected)
     return (
         whole.until(int(np.flatnonzero(detected)[-1]) + 1),
         _Forward(F, predicted_mean, predicted_cov),
     )
-
-
-def _area(cov: FloatArray) -> float:
-    """Determinant of the position's covariance."""
-    return float(cov[0, 0] * cov[1, 1] - cov[0, 1] * cov[1, 0])
 
 
 def _backward(life: _Life, forward: _Forward) -> _Life:

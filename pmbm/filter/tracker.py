@@ -131,7 +131,7 @@ class PMBMTracker:
         self.density, reduced = reduce(updated, self._limits())
         self.reduced = replace(
             reduced,
-            hypotheses_pruned=reduced.hypotheses_pruned + association.children.dropped,
+            hypotheses_pruned=reduced.hypotheses_pruned + association.dropped,
             undetected_dropped=dropped,
             pairs_gated=len(predicted.local) * len(scan) - len(association.known.row),
         )
@@ -198,7 +198,7 @@ class PMBMTracker:
         config = self.config
         F, Q = constant_velocity(dt, config.spectral_density)
         survival = survival_over(dt, config.survival, config.survival_interval)
-        return Transition(F, Q, survival, dt, config.visibility, config.levels)
+        return Transition(F, Q, survival, dt, config.visibility)
 
     def _first(self, view: View) -> Mixture:
         if self.config.undetected_detail is not None:
