@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "assignment/k_best.hpp"
+#include "filter/branch.hpp"
 #include "filter/gate.hpp"
-#include "filter/join.hpp"
 #include "filter/reduce.hpp"
 #include "filter/tables.hpp"
 
@@ -161,67 +161,26 @@ nb::tuple hand_over(pmbm::Table&& table) {
                           hand_over(std::move(table.start)), hand_over(std::move(table.member)));
 }
 
-pmbm::PairsView pairs(const Input<std::int64_t>& row, const Input<std::int64_t>& measurement,
-                      const Input<double>& log_weight) {
-    return {row.data(), measurement.data(), log_weight.data(),
-            static_cast<std::int64_t>(row.size())};
-}
-
-nb::tuple best_children(Input<std::int64_t> cluster, Input<double> log_weight,
-                        Input<std::int64_t> start, Input<std::int64_t> member,
-                        Input<std::int64_t> row, Input<std::int64_t> measurement,
-                        Input<double> pair_log_weight, Input<double> log_missed,
-                        Input<double> log_new, Input<std::int64_t> cluster_of,
-                        Input<std::int64_t> allowed, double margin, double log_threshold) {
-    pmbm::ChildrenOf found;
-    {
-        nb::gil_scoped_release released;
-        found = pmbm::best_children(
-            view(cluster, log_weight, start, member), pairs(row, measurement, pair_log_weight),
-            log_missed.data(), static_cast<std::int64_t>(log_missed.size()), log_new.data(),
-            cluster_of.data(), static_cast<std::int64_t>(log_new.size()), allowed.data(), margin,
-            log_threshold);
-    }
-    return nb::make_tuple(hand_over(std::move(found.parent)),
-                          hand_over(std::move(found.log_weight)),
-                          hand_over(std::move(found.taker)), hand_over(std::move(found.entry)),
-                          hand_over(std::move(found.pair)), found.dropped);
-}
-
-nb::tuple extended(Input<std::int64_t> cluster, Input<double> log_weight,
+// Returns the table's columns, and how many children were dropped.
+nb::tuple branched(Input<std::int64_t> cluster, Input<double> log_weight,
                    Input<std::int64_t> start, Input<std::int64_t> member,
-                   Input<std::int64_t> parent, Input<double> child_log_weight,
-                   Input<std::int64_t> taker, Input<std::int64_t> entry, Input<std::int64_t> pair,
-                   Input<std::int64_t> measurement, Input<std::int64_t> cluster_of,
-                   std::int64_t locals) {
-    return hand_over(pmbm::extended(
-        view(cluster, log_weight, start, member),
-        {parent.data(), taker.data(), entry.data(), pair.data(), child_log_weight.data(),
-         parent.size(), taker.size()},
-        {nullptr, measurement.data(), nullptr, static_cast<std::int64_t>(measurement.size())},
-        cluster_of.data(), static_cast<std::int64_t>(cluster_of.size()), locals));
-}
-
-// Returns the table's columns and the cluster of each measurement.
-nb::tuple joined(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
-                 Input<std::int64_t> member, std::int64_t locals, Input<std::int64_t> pair_row,
-                 Input<std::int64_t> pair_measurement, std::int64_t measurements, std::int64_t cap,
-                 double largest) {
-    pmbm::Joined made;
+                   Input<std::int64_t> row, Input<std::int64_t> measurement,
+                   Input<double> pair_log_weight, Input<double> log_missed, Input<double> log_new,
+                   std::int64_t max_hypotheses, double largest_table, double margin,
+                   double log_threshold, bool clustering) {
+    pmbm::Table children;
+    std::int64_t dropped = 0;
     {
         nb::gil_scoped_release released;
-        made = pmbm::joined(view(cluster, log_weight, start, member), locals, pair_row.data(),
-                            pair_measurement.data(), pair_row.size(), measurements, cap, largest);
+        children = pmbm::branched(
+            view(cluster, log_weight, start, member),
+            {row.data(), measurement.data(), pair_log_weight.data(),
+             static_cast<std::int64_t>(row.size())},
+            log_missed.data(), static_cast<std::int64_t>(log_missed.size()), log_new.data(),
+            static_cast<std::int64_t>(log_new.size()),
+            {max_hypotheses, largest_table, margin, log_threshold, clustering}, dropped);
     }
-    return nb::make_tuple(hand_over(std::move(made.table)),
-                          hand_over(std::move(made.of_measurement)));
-}
-
-Output<std::int64_t> row_limits(Input<std::int64_t> cluster, Input<double> log_weight,
-                                Input<std::int64_t> start, Input<std::int64_t> member,
-                                std::int64_t cap, double largest) {
-    return hand_over(
-        pmbm::row_limits(view(cluster, log_weight, start, member), cap, largest));
+    return nb::make_tuple(hand_over(std::move(children)), dropped);
 }
 
 // Returns the table's columns; the rows kept, their tracks, and the tracks kept; the rows recycled
@@ -276,10 +235,7 @@ NB_MODULE(_native, m) {
     m.def("move", &move);
     m.def("correct", &correct);
     m.def("fuse", &fuse);
-    m.def("best_children", &best_children);
-    m.def("extended", &extended);
-    m.def("joined", &joined);
-    m.def("row_limits", &row_limits);
+    m.def("branched", &branched);
     m.def("reduced", &reduced);
     m.def("likeliest", &likeliest);
     m.def("probability", &probability);

@@ -12,14 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmbm import compiled
-from pmbm.assignment import k_best_choices
-from pmbm.filter.clusters import joined, row_limit
-from pmbm.filter.density import Density, Globals, Index, Mixture, ragged, starts, summed
+from pmbm.filter.branching import branch
+from pmbm.filter.density import Density, Globals, Index, Mixture, summed
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
 from pmbm.filter.models import Sensor
 from pmbm.filter.scan import Scan
-from pmbm.filter.weights import likely, log_of, normalised
 from pmbm.types import FloatArray
 
 LOG_TINY = -700.0
@@ -74,32 +72,12 @@ class Priced:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Children:
-    """Global hypotheses after the scan, N rows sorted by cluster.
-
-    parent (N,) : row of `Association.parents`.
-    log_weight (N,) : from w_parent and everything that the child says; the weights of one cluster's
-        children add up to one.
-    taker (t,), entry (t,), pair (t,) : child `taker` lets the member `entry` of its parent take the
-        measurement of pair `pair`.  Members that take nothing are missed; measurements of the
-        parent's cluster that nobody takes are new objects or clutter.
-    dropped : how many children were too unlikely to be kept.
-    """
-
-    parent: Index
-    log_weight: FloatArray
-    taker: Index
-    entry: Index
-    pair: Index
-    dropped: int
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class Association:
     """Everything that one scan says about the hypotheses.
 
-    parents : the global hypotheses, joined where a measurement ties clusters together.
-    cluster (M,) : the (joined) cluster that each measurement belongs to.
+    hypotheses : the children, over the candidates: rows 0 .. H-1 are the local hypotheses, missed;
+        then come the detected ones of the pairs `known`, then a new track of each measurement.
+    dropped : how many children were too unlikely to be kept.
     known : pairs of local hypotheses and measurements.
     undetected : the PPP, priced.
     log_missed (H,) : log(1 - r P_D).  existence_if_missed (H,) : r of a missed track.
@@ -109,8 +87,8 @@ class Association:
     log_first (M,) : log e, with what the scores say.  log_new (M,) : log(lambda_c + e), likewise.
     """
 
-    parents: Globals
-    cluster: Index
+    hypotheses: Globals
+    dropped: int
     known: Pairs
     undetected: Priced
     log_missed: FloatArray
@@ -121,7 +99,6 @@ class Association:
     log_e: FloatArray
     log_first: FloatArray
     log_new: FloatArray
-    children: Children
 
 
 def associate(
@@ -162,18 +139,18 @@ def associate(
         known = replace(known, log_weight=known.log_weight + np.maximum(_log(said), LOG_TINY))
     log_new = np.maximum(np.logaddexp(log_first, log_clutter), LOG_TINY)
 
-    if clustering:
-        parents, cluster = joined(
-            table, len(local), known.row, known.measurement, len(z), max_hypotheses
-        )
-        allowed = row_limit(parents, max_hypotheses)
-    else:
-        parents, cluster = table, np.zeros(len(z), np.intp)
-        allowed = np.full(parents.clusters, max_hypotheses)
-    children = _children(parents, cluster, known, log_missed, log_new, allowed, negligible)
+    hypotheses, dropped = branch(
+        table,
+        known,
+        log_missed,
+        log_new,
+        max_hypotheses=max_hypotheses,
+        negligible=negligible,
+        clustering=clustering,
+    )
     return Association(
-        parents,
-        cluster,
+        hypotheses,
+        dropped,
         known,
         undetected,
         log_missed,
@@ -184,7 +161,6 @@ def associate(
         log_e,
         log_first,
         log_new,
-        children,
     )
 
 
@@ -225,76 +201,3 @@ def _first_detections(
     innovation = Innovation.of(ppp.mean, ppp.cov, sensor.R)
     priced = Priced(innovation, log_detected + innovation.log_norm(), threshold)
     return priced, priced.log_density(z)
-
-
-def _children(
-    parents: Globals,
-    cluster: Index,
-    known: Pairs,
-    log_missed: FloatArray,
-    log_new: FloatArray,
-    allowed: Index,
-    negligible: float,
-) -> Children:
-    """The best children of every parent; one of weight w has at most ceil(`allowed` w), where
-    `allowed` (C,) is for each cluster.
-
-    The log weight of a child is that of its parent with all tracks missed and all measurements
-    new, plus, for every track that takes a measurement, what taking it gains over that.
-    """
-    log_negligible = log_of(negligible)
-    if compiled.native is not None:
-        pairs = known.row, known.measurement, known.log_weight
-        return Children(
-            *compiled.native.best_children(
-                *parents.columns(),
-                *pairs,
-                log_missed,
-                log_new,
-                cluster,
-                allowed,
-                -log_negligible,
-                log_negligible,
-            )
-        )
-    row_of_entry = parents.row_of_member()
-    new_by_cluster = summed(log_new, cluster, parents.clusters)
-    base = (
-        parents.log_weight
-        + summed(log_missed[parents.member], row_of_entry, len(parents))
-        + new_by_cluster[parents.cluster]
-    )
-    # Options: every member of every parent with every measurement in its gate; a row is a
-    # measurement as one parent sees it, a column a member.
-    pairs_of = np.bincount(known.row, minlength=len(log_missed))
-    choices = pairs_of[parents.member]
-    entry = np.repeat(np.arange(len(parents.member)), choices)
-    pair = ragged(starts(pairs_of)[parents.member], choices)
-    order = np.lexsort((known.measurement[pair], row_of_entry[entry]))
-    entry, pair = entry[order], pair[order]
-    parent, measurement = row_of_entry[entry], known.measurement[pair]
-    new_row = np.ones(len(order), bool)
-    new_row[1:] = (parent[1:] != parent[:-1]) | (measurement[1:] != measurement[:-1])
-    gain = known.log_weight - log_missed[known.row] - log_new[known.measurement]
-    quota = np.ceil(allowed[parents.cluster] * np.exp(parents.log_weight) - 1e-9)
-    best = k_best_choices(
-        np.cumsum(new_row) - 1,
-        entry,
-        -gain[pair],
-        first_row=starts(np.bincount(parent[new_row], minlength=len(parents))),
-        first_column=parents.start,
-        ks=quota.clip(1).astype(np.intp),
-        margin=-log_negligible,
-    )
-    of_child = parents.cluster[best.problem]
-    log_weight = normalised(base[best.problem] - best.cost, of_child)
-    kept = likely(log_weight, of_child, negligible)
-    uses = kept[best.way]
-    return Children(
-        best.problem[kept],
-        log_weight if kept.all() else normalised(log_weight[kept], of_child[kept]),
-        (np.cumsum(kept) - 1)[best.way[uses]],
-        entry[best.option[uses]],
-        pair[best.option[uses]],
-        int((~kept).sum()),
-    )

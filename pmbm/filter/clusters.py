@@ -7,7 +7,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pmbm import compiled
 from pmbm.filter.density import Globals, Index, ragged, starts, summed
 from pmbm.types import ABSENT, FloatArray
 
@@ -32,12 +31,6 @@ def joined(
 
     A measurement in the gate of none has a cluster of its own, of one empty hypothesis.
     """
-    if compiled.native is not None:
-        pairs = pair_row, pair_measurement, measurements
-        columns, of_measurement = compiled.native.joined(
-            *table.columns(), locals_count, *pairs, cap, LARGEST_TABLE
-        )
-        return Globals(*columns), of_measurement
     cluster_of = np.empty(locals_count, np.intp)
     cluster_of[table.member] = np.repeat(table.cluster, np.diff(table.start))
     number, component, of_measurement = components(
@@ -271,8 +264,6 @@ def merge_equal(table: Globals) -> Globals:
 def row_limit(table: Globals, cap: int) -> Index:
     """(C,) hypotheses that each cluster may have: `cap`, or fewer where that many would hold more
     than `LARGEST_TABLE` members."""
-    if compiled.native is not None:
-        return compiled.native.row_limits(*table.columns(), cap, LARGEST_TABLE)
     length = np.diff(table.start)
     if length.max(initial=0) * cap <= LARGEST_TABLE:
         return np.full(table.clusters, cap)

@@ -32,11 +32,6 @@ struct ReducedTable {
     std::int64_t pruned = 0, capped = 0, merged = 0, tracks_capped = 0;
 };
 
-inline TableView view_of(const Table& t) {
-    return {t.cluster.data(), t.start.data(), t.member.data(), t.log_weight.data(),
-            static_cast<std::int64_t>(t.cluster.size())};
-}
-
 // _surplus_tracks(): whether each track is beyond the `most` that may stay.
 inline std::vector<bool> surplus(const Floats& probability, const double* existence,
                                  const std::int64_t* track, std::size_t tracks,

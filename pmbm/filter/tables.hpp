@@ -1,6 +1,6 @@
-// Tables of global hypotheses: extending them by a scan's associations, pruning and splitting them.
-// The plain versions, of the same names or named beside each function, are in association.py,
-// update.py, reduction.py, clusters.py and estimation.py, and say what is meant.
+// Tables of global hypotheses: pruning and splitting them.
+// The plain versions, of the same names or named beside each function, are in reduction.py,
+// clusters.py and estimation.py, and say what is meant.
 #pragma once
 
 #include <algorithm>
@@ -10,8 +10,6 @@
 #include <limits>
 #include <utility>
 #include <vector>
-
-#include "assignment/k_best.hpp"
 
 namespace pmbm {
 
@@ -48,6 +46,11 @@ struct Table {
     }
 };
 
+inline TableView view_of(const Table& t) {
+    return {t.cluster.data(), t.start.data(), t.member.data(), t.log_weight.data(),
+            static_cast<std::int64_t>(t.cluster.size())};
+}
+
 // Makes the weights of rows first to last - 1 add up to one.
 inline void normalise(double* log_weight, std::int64_t first, std::int64_t last) {
     double top = -std::numeric_limits<double>::infinity();
@@ -56,173 +59,6 @@ inline void normalise(double* log_weight, std::int64_t first, std::int64_t last)
     for (auto g = first; g < last; ++g) total += std::exp(log_weight[g] - top);
     const double shift = std::log(total);
     for (auto g = first; g < last; ++g) log_weight[g] = log_weight[g] - top - shift;
-}
-
-// Gated pairs of a local hypothesis and a measurement, sorted by the former.
-struct PairsView {
-    const std::int64_t *row, *measurement;
-    const double* log_weight;
-    std::int64_t count;
-};
-
-struct ChildrenOf {
-    Ints parent, taker, entry, pair;
-    Floats log_weight;
-    std::int64_t dropped = 0;
-
-    // The children from `first` on, of uses from `first_use` on, are all of a cluster: their weights
-    // are made to add up to one, and those of a share up to the threshold are dropped.
-    void close_cluster(std::size_t first, std::size_t first_use, double log_threshold) {
-        const auto end = parent.size();
-        normalise(log_weight.data(), static_cast<std::int64_t>(first),
-                  static_cast<std::int64_t>(end));
-        if (end - first < 2) return;
-        const double top = *std::max_element(log_weight.begin() + static_cast<long>(first),
-                                             log_weight.end());
-        auto kept = first, use = first_use, kept_use = first_use;
-        for (auto child = first; child < end; ++child) {
-            const bool stays = log_weight[child] > log_threshold || log_weight[child] == top;
-            for (; use < taker.size() && taker[use] == static_cast<std::int64_t>(child); ++use) {
-                if (!stays) continue;
-                taker[kept_use] = static_cast<std::int64_t>(kept);
-                entry[kept_use] = entry[use];
-                pair[kept_use++] = pair[use];
-            }
-            if (!stays) continue;
-            parent[kept] = parent[child];
-            log_weight[kept++] = log_weight[child];
-        }
-        if (kept == end) return;
-        dropped += static_cast<std::int64_t>(end - kept);
-        parent.resize(kept);
-        log_weight.resize(kept);
-        taker.resize(kept_use);
-        entry.resize(kept_use);
-        pair.resize(kept_use);
-        normalise(log_weight.data(), static_cast<std::int64_t>(first),
-                  static_cast<std::int64_t>(kept));
-    }
-};
-
-// _children(): the best children of every parent; `allowed` is for each cluster.
-inline ChildrenOf best_children(const TableView& parents, const PairsView& known,
-                                const double* log_missed, std::int64_t locals,
-                                const double* log_new, const std::int64_t* cluster_of,
-                                std::int64_t measurements, const std::int64_t* allowed,
-                                double margin, double log_threshold) {
-    Ints first_pair(static_cast<std::size_t>(locals) + 1, 0);
-    for (std::int64_t p = 0; p < known.count; ++p) ++first_pair[known.row[p] + 1];
-    for (std::int64_t i = 0; i < locals; ++i) first_pair[i + 1] += first_pair[i];
-    Floats new_by_cluster(static_cast<std::size_t>(parents.clusters()), 0.0);
-    for (std::int64_t m = 0; m < measurements; ++m) new_by_cluster[cluster_of[m]] += log_new[m];
-
-    struct Option {
-        std::int64_t measurement, entry, pair;
-    };
-    std::vector<Option> options;
-    Ints row, column;
-    Floats cost, costs;
-    ChildrenOf found;
-    KBest solver;
-    const auto find = [&](std::int64_t g) {
-        const auto begin = parents.start[g], end = parents.start[g + 1];
-        double missed = 0;
-        options.clear();
-        for (auto entry = begin; entry < end; ++entry) {
-            const auto local = parents.member[entry];
-            missed += log_missed[local];
-            for (auto p = first_pair[local]; p < first_pair[local + 1]; ++p) {
-                options.push_back({known.measurement[p], entry, p});
-            }
-        }
-        std::sort(options.begin(), options.end(), [](const Option& a, const Option& b) {
-            return a.measurement != b.measurement ? a.measurement < b.measurement
-                                                  : a.entry < b.entry;
-        });
-        row.clear();
-        column.clear();
-        cost.clear();
-        costs.clear();
-        std::int64_t rows = 0;
-        for (std::size_t i = 0; i < options.size(); ++i) {
-            const auto& o = options[i];
-            rows += i == 0 || o.measurement != options[i - 1].measurement;
-            row.push_back(rows - 1);
-            column.push_back(o.entry - begin);
-            const double missing = log_missed[parents.member[o.entry]];
-            cost.push_back(-(known.log_weight[o.pair] - missing - log_new[o.measurement]));
-        }
-        const auto cluster = parents.cluster[g];
-        const double quota =
-            std::ceil(static_cast<double>(allowed[cluster]) * std::exp(parents.log_weight[g]) -
-                      1e-9);
-        const auto before = found.taker.size(), children = found.parent.size();
-        solver.choose({row.data(), column.data(), cost.data(),
-                       static_cast<std::int64_t>(options.size()), 0, 0, rows, 0, end - begin},
-                      std::max<std::int64_t>(1, static_cast<std::int64_t>(quota)), margin, costs,
-                      found.taker, found.pair);
-        for (auto i = before; i < found.pair.size(); ++i) {
-            const auto& option = options[static_cast<std::size_t>(found.pair[i])];
-            found.taker[i] += static_cast<std::int64_t>(children);
-            found.entry.push_back(option.entry);
-            found.pair[i] = option.pair;
-        }
-        const double base = parents.log_weight[g] + missed + new_by_cluster[cluster];
-        for (const auto one : costs) {
-            found.parent.push_back(g);
-            found.log_weight.push_back(base - one);
-        }
-    };
-    parents.each_cluster([&](std::int64_t, std::int64_t first, std::int64_t last) {
-        const auto child = found.parent.size(), use = found.taker.size();
-        for (auto g = first; g < last; ++g) find(g);
-        found.close_cluster(child, use, log_threshold);
-    });
-    return found;
-}
-
-struct ChildrenView {
-    const std::int64_t *parent, *taker, *entry, *pair;
-    const double* log_weight;
-    std::size_t count, uses;
-};
-
-// _hypotheses(): children as rows over the candidates.
-inline Table extended(const TableView& parents, const ChildrenView& children,
-                      const PairsView& known,
-                      const std::int64_t* cluster_of, std::int64_t measurements,
-                      std::int64_t locals) {
-    Ints first_of(static_cast<std::size_t>(parents.clusters()) + 1, 0);
-    for (std::int64_t m = 0; m < measurements; ++m) ++first_of[cluster_of[m] + 1];
-    for (std::size_t c = 1; c < first_of.size(); ++c) first_of[c] += first_of[c - 1];
-    Ints by_cluster(static_cast<std::size_t>(measurements)), next(first_of);
-    for (std::int64_t m = 0; m < measurements; ++m) by_cluster[next[cluster_of[m]]++] = m;
-
-    std::vector<unsigned char> taken(static_cast<std::size_t>(measurements), 0);
-    Table table;
-    std::size_t use = 0;
-    for (std::size_t child = 0; child < children.count; ++child) {
-        const auto g = children.parent[child], begin = parents.start[g];
-        const auto own = table.member.size(), first_use = use;
-        table.member.insert(table.member.end(), parents.member + begin,
-                            parents.member + parents.start[g + 1]);
-        for (; use < children.uses &&
-               children.taker[use] == static_cast<std::int64_t>(child);
-             ++use) {
-            table.member[own + static_cast<std::size_t>(children.entry[use] - begin)] =
-                locals + children.pair[use];
-            taken[known.measurement[children.pair[use]]] = 1;
-        }
-        const auto cluster = parents.cluster[g];
-        for (auto i = first_of[cluster]; i < first_of[cluster + 1]; ++i) {
-            if (!taken[by_cluster[i]]) {
-                table.member.push_back(locals + known.count + by_cluster[i]);
-            }
-        }
-        for (auto i = first_use; i < use; ++i) taken[known.measurement[children.pair[i]]] = 0;
-        table.close_row(cluster, children.log_weight[child]);
-    }
-    return table;
 }
 
 // likely(), _best() and _keep(): the rows above the threshold, at most `cap` of each cluster, and

@@ -23,8 +23,6 @@ from pmbm.filter.density import (
     Index,
     Locals,
     Mixture,
-    ragged,
-    starts,
 )
 from pmbm.filter.gaussian import corrected, corrected_cov, corrected_mean, gain, moments
 from pmbm.filter.models import Sensor
@@ -37,7 +35,7 @@ from pmbm.types import FloatArray
 def update(density: Density, scan: Scan, association: Association, sensor: Sensor) -> Density:
     """The density given the scan: Bayes' rule under every association hypothesis."""
     H, n = len(density.local), len(association.known.row)
-    table = _hypotheses(association, H)
+    table = association.hypotheses
     # Candidates: a missed version of every local hypothesis, a detected one of every pair, and a
     # new track of every measurement.  Those that no hypothesis uses are not worked out.
     used = np.zeros(H + n + len(scan), bool)
@@ -56,61 +54,6 @@ def update(density: Density, scan: Scan, association: Association, sensor: Senso
         track_id=np.concatenate([density.track_id, ids_of_new(density, scan, association, new)]),
         detections_seen=density.detections_seen + len(scan),
         undetected_settled=density.undetected_settled,
-    )
-
-
-def _hypotheses(association: Association, H: int) -> Globals:
-    """The children as global hypotheses over the candidates: rows 0..H-1 missed, then the pairs,
-    then the new tracks."""
-    parents, children = association.parents, association.children
-    if compiled.native is not None:
-        made = children.parent, children.log_weight, children.taker, children.entry, children.pair
-        measurement = association.known.measurement
-        return Globals(
-            *compiled.native.extended(
-                *parents.columns(), *made, measurement, association.cluster, H
-            )
-        )
-    n = len(association.known.row)
-    members = np.diff(parents.start)[children.parent]
-    first_member = starts(members)
-    candidate = parents.member[ragged(parents.start[children.parent], members)]
-    where = (
-        first_member[children.taker]
-        + children.entry
-        - parents.start[children.parent[children.taker]]
-    )
-    candidate[where] = H + children.pair
-
-    # Measurements of the child's cluster, minus those that a member takes.
-    by_cluster = np.argsort(association.cluster, kind="stable")
-    in_cluster = np.bincount(association.cluster, minlength=parents.clusters)
-    first_of_cluster = np.cumsum(in_cluster) - in_cluster
-    rank = np.empty(len(by_cluster), np.intp)
-    rank[by_cluster] = (
-        np.arange(len(by_cluster)) - first_of_cluster[association.cluster[by_cluster]]
-    )
-    cluster = parents.cluster[children.parent]
-    free = in_cluster[cluster]
-    first_free = starts(free)
-    measurement = by_cluster[ragged(first_of_cluster[cluster], free)]
-    unclaimed = np.ones(len(measurement), bool)
-    unclaimed[first_free[children.taker] + rank[association.known.measurement[children.pair]]] = (
-        False
-    )
-    child = np.concatenate(
-        [
-            np.repeat(np.arange(len(members)), members),
-            np.repeat(np.arange(len(free)), free)[unclaimed],
-        ]
-    )
-    order = np.argsort(child, kind="stable")
-    member = np.concatenate([candidate, H + n + measurement[unclaimed]])[order]
-    return Globals(
-        cluster,
-        children.log_weight,
-        starts(np.bincount(child, minlength=len(members))),
-        member,
     )
 
 
@@ -146,7 +89,7 @@ def _detected(
         np.ones(len(pairs)),
         mean,
         cov,
-        sensor.boxed(local.box[row], scan.box[measurement]),
+        scan.box[measurement],
         scan.label[measurement],
         _remember(local.history[row], measurement),
         confidence=sensor.remembered(confidence, scan.confidence, measurement),

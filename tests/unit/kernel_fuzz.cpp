@@ -1,6 +1,7 @@
 // Random problems through the compiled kernels, each answer checked; built by
 // test_kernel_sanitized.py with the address and undefined-behaviour sanitizers.
 #include "assignment/k_best.hpp"
+#include "filter/branch.hpp"
 #include "filter/gate.hpp"
 #include "filter/join.hpp"
 #include "filter/reduce.hpp"
@@ -228,6 +229,13 @@ void fuzz_tables() {
          children.taker.size()},
         known, cluster_of.data(), scans, locals);
     const auto candidates = locals + known.count + scans;
+    std::int64_t dropped = 0;
+    check_table(pmbm::branched(view(scene.table), known, missed.data(), locals, fresh.data(), scans,
+                               {whole(1, 60), chance() < 0.5 ? 1e12 : 40.0, kInf, -kInf,
+                                chance() < 0.7 || clusters == 1},
+                               dropped),
+                candidates, nullptr);
+    require(dropped == 0, "a child dropped though nothing is negligible");
     check_table(made, candidates, nullptr);
     for (std::size_t g = 0; g + 1 < made.start.size(); ++g) {
         std::multiset<std::int64_t> used;

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pmbm import Detections, PMBMConfig, PMBMTracker, Site, compiled
 from pmbm.filter.association import associate
-from pmbm.filter.clusters import factor, joined, merge_equal, row_limit
+from pmbm.filter.branching import branch
+from pmbm.filter.clusters import factor, merge_equal
 from pmbm.filter.density import Density, Globals, Locals, Mixture, Origin, starts
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
@@ -233,25 +235,35 @@ def test_the_reductions_had_something_to_do():
     assert merged.clusters <= found[0] < found[1] < found[2]
 
 
+@pytest.mark.parametrize("negligible", [0.0, 0.05])
 @pytest.mark.parametrize(("cap", "largest"), [(10_000, 10**9), (7, 10**9), (200, 60)])
-@pytest.mark.parametrize("ties", [0, 1, 3, 40])
-def test_clusters_are_joined_to_the_bit(monkeypatch, cap, largest, ties):
+@pytest.mark.parametrize("ties", [0, 1, 3, 30])
+def test_hypotheses_branch_alike(monkeypatch, cap, largest, ties, negligible):
+    """Clusters that stay apart, clusters that measurements tie together, and measurements alone."""
     monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", largest)
     joins = 0
     for seed in range(5):
         table, track = random_table(seed)
-        table = merge_equal(_pruned(table, 0.0, np.full(6, 5))[0])
+        table = merge_equal(_pruned(table, 0.0, np.full(6, 3))[0])
         random = np.random.default_rng([seed, ties])
-        row = np.sort(random.choice(np.unique(table.member), ties))
-        measurement = random.integers(0, 9, ties)
+        row = np.sort(random.choice(np.unique(table.member), min(ties, 12), replace=False))
+        measurement = random.integers(0, 9, len(row))
+        known = SimpleNamespace(
+            row=row, measurement=measurement, log_weight=random.normal(-2, 2, len(row))
+        )
+        log_missed, log_new = -random.exponential(1, len(track)), -random.exponential(1, 9)
 
-        def work(table=table, track=track, row=row, measurement=measurement):
-            parents, cluster = joined(table, len(track), row, measurement, 9, cap)
-            return (*parents.columns(), cluster, row_limit(parents, cap))
+        def work(table=table, problem=(known, log_missed, log_new)):
+            limits = {"max_hypotheses": cap, "negligible": negligible}
+            apart, dropped = branch(table, *problem, clustering=True, **limits)
+            whole = replace(table, cluster=np.zeros_like(table.cluster))
+            one, more = branch(whole, *problem, clustering=False, **limits)
+            return [*apart.columns(), *one.columns()], (dropped, more)
 
-        fast, plain = on_both(monkeypatch, work)
+        (fast, counted), (plain, plainly) = on_both(monkeypatch, work)
+        assert counted == plainly
         for one, other in zip(fast, plain, strict=True):
-            assert one.tolist() == other.tolist()
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
         apart = table.clusters + 9 - len(np.unique(measurement))
         joins += int(fast[0][-1]) + 1 < apart
-    assert joins == 5 or ties < 40
+    assert joins == 5 or ties < 30

@@ -11,7 +11,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from pmbm.filter.association import associate
-from pmbm.filter.clusters import merge_equal
+from pmbm.filter.branching import best_children
+from pmbm.filter.clusters import joined, merge_equal
 from pmbm.filter.density import Density, Globals, Locals, Mixture
 from pmbm.filter.estimation import marginals
 from pmbm.filter.models import Sensor, Transition, constant_velocity
@@ -218,15 +219,11 @@ def test_the_best_children_are_the_best_of_all(seed, assignment_kernel):
 def test_a_parent_gets_children_in_proportion_to_its_weight():
     ppp, tracks, hypotheses, z = random_problem(3)
     prior = density(ppp, tracks, hypotheses)
-    found = associate(
-        prior,
-        Scan.of_positions(z),
-        SENSOR,
-        gate_threshold=1e12,
-        max_hypotheses=10,
-        clustering=False,
-    )
-    count = np.bincount(found.children.parent, minlength=3)
+    found = associate(prior, Scan.of_positions(z), SENSOR, gate_threshold=1e12, max_hypotheses=10)
+    weights = found.known, found.log_missed, found.log_new
+    one_cluster, allowed = np.zeros(len(z), np.intp), np.array([10])
+    children = best_children(prior.hypotheses, one_cluster, *weights, allowed, 0.0)
+    count = np.bincount(children.parent, minlength=3)
     quota = [math.ceil(10 * w) for w, _ in hypotheses]
     assert (count <= quota).all()
     assert count.sum() > 3
@@ -336,7 +333,9 @@ def test_joining_large_clusters_keeps_the_best_of_their_product(limit):
         clustering=True,
     )
     expected = np.sort(np.outer(*weights).ravel())[::-1][:limit]
-    assert np.allclose(np.sort(np.exp(found.parents.log_weight))[::-1], expected, rtol=1e-12)
+    pairs = found.known.row, found.known.measurement
+    parents, _ = joined(prior.hypotheses, len(prior.local), *pairs, 1, limit)
+    assert np.allclose(np.sort(np.exp(parents.log_weight))[::-1], expected, rtol=1e-12)
 
 
 # --- mistakes found in public implementations -----------------------------------------------------
