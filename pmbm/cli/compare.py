@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmbm.cli.many import ManyValues
-from pmbm.cli.track import FOLDER
+from pmbm.cli.track import FOLDER, ROOT
 
 if TYPE_CHECKING:
     from pmbm.cli.dataset_scores import Rule, Scores
@@ -26,7 +26,7 @@ Runs = dict[str, dict[str, "list[Evaluation]"]]
 
 @click.command(cls=ManyValues)
 @click.argument("dataset_name", metavar="DATASET")
-@click.option("--root", type=FOLDER, required=True, help="The dataset's folder, with its truth.")
+@click.option("--root", type=ROOT, required=True, help="The dataset's folder, with its truth.")
 @click.option("--detections", required=True, metavar="PATH", help="As for pmbm track.")
 @click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
 @click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pmbm.cli.many import ManyValues
-from pmbm.cli.track import FOLDER
+from pmbm.cli.track import FOLDER, ROOT
 
 if TYPE_CHECKING:
     from pmbm.cli.dataset_scores import Scores
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @click.command(cls=ManyValues)
 @click.argument("dataset_name", metavar="DATASET")
-@click.option("--root", type=FOLDER, required=True, help="The dataset's folder, with its truth.")
+@click.option("--root", type=ROOT, required=True, help="The dataset's folder, with its truth.")
 @click.option("--results", type=FOLDER, required=True, help="What a tracker wrote.")
 @click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
 @click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")

@@ -7,12 +7,12 @@ from pathlib import Path
 import click
 
 from pmbm.cli.many import ManyValues
-from pmbm.cli.track import FOLDER
+from pmbm.cli.track import FOLDER, ROOT
 
 
 @click.command(cls=ManyValues)
 @click.argument("dataset_name", metavar="DATASET")
-@click.option("--root", type=FOLDER, required=True, help="The dataset's folder.")
+@click.option("--root", type=ROOT, required=True, help="The dataset's folder.")
 @click.option("--results", type=FOLDER, required=True, help="What pmbm track wrote.")
 @click.option("--detections", metavar="PATH", help="As for pmbm track, where there are no labels.")
 @click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")

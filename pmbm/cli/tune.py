@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pmbm.tune import Progress, Space, Tuned
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
+ROOT = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 _OF_SCENARIOS = ("recordings", "held_back")
 _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mode")
@@ -26,7 +27,7 @@ _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mod
 @click.command(cls=ManyValues)
 @click.argument("scenarios", nargs=-1, metavar="[SCENARIO|FILE.toml]...")
 @click.option("--dataset", "dataset_name", metavar="NAME", help="Instead of scenarios.")
-@click.option("--root", type=FOLDER, help="The dataset's folder, with its truth.")
+@click.option("--root", type=ROOT, help="The dataset's folder, with its truth.")
 @click.option("--detections", metavar="PATH", help="As for pmbm track.")
 @click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
 @click.option("--class", "kind", metavar="CLASS", help="The dataset's class to tune for.")
