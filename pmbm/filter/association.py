@@ -81,6 +81,7 @@ class Association:
     known : pairs of local hypotheses and measurements.
     undetected : the PPP, priced.
     log_missed (H,) : log(1 - r P_D).  existence_if_missed (H,) : r of a missed track.
+    known_if_missed : means (H,4) and covariances (H,4,4) of missed tracks.
     detection (H,), detection_undetected (P,) : P_D of local hypotheses and of PPP components.
     undetected_if_missed : means (P,4) and covariances (P,4,4) of PPP components after the scan.
     log_e (M,) : of e = sum of w P_D N(z) over gated PPP components; -inf where none is.
@@ -93,6 +94,7 @@ class Association:
     undetected: Priced
     log_missed: FloatArray
     existence_if_missed: FloatArray
+    known_if_missed: tuple[FloatArray, FloatArray]
     detection: FloatArray
     detection_undetected: FloatArray
     undetected_if_missed: tuple[FloatArray, FloatArray]
@@ -117,7 +119,7 @@ def associate(
     up to `negligible` of its best child, or of its cluster, would be pruned and are not kept.
     """
     local, table, z = density.local, density.hypotheses, scan.position
-    detection, detection_if_seen = sensor.of_tracks(local)
+    detection, detection_if_seen, known_if_missed = sensor.of_tracks(local)
     known = _gated(
         local.mean, local.cov, _log(local.existence * detection_if_seen), z, sensor, gate_threshold
     )
@@ -155,6 +157,7 @@ def associate(
         undetected,
         log_missed,
         existence_if_missed,
+        known_if_missed,
         detection,
         detection_undetected,
         if_missed,

@@ -159,7 +159,7 @@ def _looked(predicted: Density, sensor: Sensor, occluders: Sequence[FloatArray])
     def averaged(value: FloatArray) -> FloatArray:
         return summed(mass * value, local.track, tracks) / total
 
-    P_D, _ = sensor.of_tracks(local)
+    P_D = sensor.of_tracks(local)[0]
     share = np.ones(len(local)) if sensor.shadows is None else sensor.shadows.visible_share(local)
     visible = averaged(share)
     left, _ = sensor.missed(local.existence, P_D)

@@ -185,9 +185,12 @@ class Sensor:
     def _share_in_view(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
         return np.ones(len(mean)) if self.view is None else self.view.share_inside(mean, cov)
 
-    def of_tracks(self, local: Locals) -> tuple[FloatArray, FloatArray]:
+    def of_tracks(
+        self, local: Locals
+    ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
         """P_D (H,) of local hypotheses, as misses and as detections count it: in the open, times
-        the expected visible share, floored in the latter."""
+        the expected visible share, floored in the latter; and means (H,4) and covariances (H,4,4)
+        after a miss, which makes it likelier that an object is where it is hidden."""
         own: FloatArray | float = self.detection
         if self.from_scores is not None:
             own = self.from_scores.of(local.confidence)
@@ -195,9 +198,19 @@ class Sensor:
             own = own * self.visibility.share(local.seen)
         in_the_open = own * self._share_in_view(local.mean, local.cov)
         if self.shadows is None:
-            return in_the_open, in_the_open
-        visible = self.shadows.visible_share(local)
-        return in_the_open * visible, in_the_open * np.maximum(visible, LEAST_VISIBLE_TO_BE_SEEN)
+            return in_the_open, in_the_open, (local.mean, local.cov)
+        visible, vague, glimpse = self.shadows.of_tracks(local)
+        mean, cov = local.mean, local.cov
+        if len(vague):
+            mean, cov = mean.copy(), cov.copy()
+            mean[vague], cov[vague] = glimpse.of_tracks_if_missed(
+                mean[vague], cov[vague], in_the_open[vague]
+            )
+        return (
+            in_the_open * visible,
+            in_the_open * np.maximum(visible, LEAST_VISIBLE_TO_BE_SEEN),
+            (mean, cov),
+        )
 
     def missed(self, r: FloatArray, P_D: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Existence of tracks that were missed, and the weight of missing them, (H,) each.

@@ -65,7 +65,8 @@ def _still_undetected(ppp: Mixture, association: Association) -> Mixture:
 
 
 def _missed(local: Locals, association: Association, sensor: Sensor, rows: Index) -> Locals:
-    kept = local.take(rows)
+    mean, cov = association.known_if_missed
+    kept = replace(local, mean=mean, cov=cov).take(rows)
     seen = kept.seen
     if seen is not None and sensor.visibility is not None:
         seen = sensor.visibility.if_missed(seen, association.detection[rows])
