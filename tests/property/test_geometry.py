@@ -1,7 +1,7 @@
 """Laws of angles, frames and overlaps."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -25,6 +25,7 @@ def boxes(draw):
 
 
 @given(angle)
+@example(float(np.nextafter(-np.pi, -4)))
 def test_wrapped_angles_are_in_the_interval_and_point_the_same_way(a):
     w = float(wrap_angle(a))
     assert -np.pi <= w < np.pi

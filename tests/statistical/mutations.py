@@ -24,8 +24,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from plants import PLANTS, Plant
+from plants import FILTER_PLANTS, Plant
+from plants_elsewhere import OTHER_PLANTS
 
+PLANTS = [*FILTER_PLANTS, *OTHER_PLANTS]
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("pmbm", "sim", "reports", "scenarios", "tests")
 CPU_LIMIT = 150

@@ -4,8 +4,7 @@ import ast
 from pathlib import Path
 
 import pytest
-from mutations import ROOT, bench
-from plants import PLANTS
+from mutations import PLANTS, ROOT, bench
 
 
 def test_every_plant_still_applies():

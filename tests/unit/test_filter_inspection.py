@@ -131,6 +131,15 @@ def test_a_wall_is_named_and_the_open_is_not():
     assert shown[1] > 0.99
 
 
+def test_who_hides_a_part_is_named_and_never_the_track_itself():
+    frames = [behind_a_truck(0.1 * k, [20.0, 14.5]) for k in range(6)]
+    _, tracker = life_of(1, frames)
+    looked = tracker.inspect().looked
+    row = looked.track_id.tolist().index(1)
+    assert 0.2 < looked.visible[row] < 0.8
+    assert looked.hidden_by[row] == 0
+
+
 def test_an_unknown_track_is_met_with_those_that_there_are():
     frames = [frame(0.1 * k, [[5.0, 0.0]]) for k in range(4)]
     with pytest.raises(InputError, match=r"got 77; reported were 0; never reported were"):

@@ -125,6 +125,14 @@ def test_ill_conditioned_covariances_stay_covariances(scale):
     assert np.linalg.eigvalsh(after).min() >= -1e-9 * max(scale, 1.0)
 
 
+def test_a_measurement_many_orders_better_than_the_prior_is_believed():
+    """P - K S K' would leave rounding of P where R is smaller than that."""
+    cov, R = np.diag([1e6, 1e6, 25.0, 25.0])[None], np.diag([1e-12, 4e-12])
+    innovation = Innovation.of(np.zeros((1, 4)), cov, R)
+    after = corrected_cov(cov, gain(cov, innovation), R, innovation)
+    np.testing.assert_allclose(after[0, :2, :2], R, rtol=1e-9, atol=1e-24)
+
+
 @given(st.integers(0, 200), st.sampled_from([20_000, 0]))
 def test_the_gate_holds_whom_it_should(seed, dense_below):
     import pmbm.filter.gating as module

@@ -49,6 +49,17 @@ def test_the_digest_does_not_depend_on_processes(tmp_path):
     assert len(set(found.values())) == 1
 
 
+def test_every_trial_is_a_world_of_its_own_whoever_computes_it(tmp_path):
+    """Workers share no seeds: each index has the recording that its number alone stands for."""
+    source = Convoy(frames=3)
+    for jobs in (0, 2):
+        run_study(study(source, trials=5), tmp_path / f"{jobs}.sqlite", jobs=jobs)
+        table = load_results(tmp_path / f"{jobs}.sqlite").outcomes.sort_values("index")
+        found = table["recording"].tolist()
+        assert found == [source.record(0, trial).digest() for trial in range(5)]
+        assert len(set(found)) == 5
+
+
 def test_a_trial_that_raises_is_an_outcome(tmp_path):
     source = Trouble(frames=3, how=((1, "raises"),))
     done = run_study(study(source), tmp_path / "a.sqlite", jobs=0)
