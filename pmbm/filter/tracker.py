@@ -116,6 +116,8 @@ class PMBMTracker:
         predicted, dropped = self._settled(predicted, view)
         clock.read("predict")
         sensor = self._sensor(view, predicted)
+        # The tracker stands at this frame's time from here on, and lets go of what came before.
+        self.density, self._time, self._before = predicted, detections.time, (predicted, sensor)
         association = associate(
             predicted,
             scan,
@@ -136,8 +138,7 @@ class PMBMTracker:
             pairs_gated=len(predicted.local) * len(scan) - len(association.known.row),
         )
         clock.read("reduce")
-        self._time, self._seconds = detections.time, clock.seconds
-        self._before = predicted, sensor
+        self._seconds = clock.seconds
         return self._report(self.density, view)
 
     def inspect(self) -> Inspection:

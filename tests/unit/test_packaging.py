@@ -52,7 +52,7 @@ def test_the_wheel_carries_the_kernel_and_the_scenarios(tmp_path):
     assert has_kernel(names)
     assert "none-any" not in wheel
     shipped = {Path(name).name for name in names if name.startswith("sim/scenarios/")}
-    assert shipped == {path.name for path in (ROOT / "scenarios").iterdir()}
+    assert shipped == {path.name for path in (ROOT / "scenarios").rglob("*") if path.is_file()}
     assert not [name for name in names if name.endswith((".cpp", ".hpp"))]
 
 
