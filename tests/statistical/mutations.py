@@ -88,9 +88,9 @@ class Bench:
         not run, or the one that fails does so without the plant: neither proves anything.
         """
         start = time.monotonic()
-        path = self.copy / plant.file
+        path = plant.place(self.copy)
         sound = path.read_text(encoding="utf-8")
-        path.write_text(plant.planted(sound), encoding="utf-8")
+        path.write_text(sound.replace(plant.old, plant.new), encoding="utf-8")
         try:
             by = self._first_failure((plant.by,)) if plant.by else ""
             by = by or self._first_failure(plant.tests)
