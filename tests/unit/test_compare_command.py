@@ -121,6 +121,17 @@ def test_without_origins_no_object_is_the_clairvoyants(folder, capsys):
     assert (found["FP"], found["FN"]) == (0, found["GT"])
 
 
+def test_a_truth_in_one_file_is_a_root(capsys):
+    waymo = SAMPLE.parent / "waymo"
+    given = ("--root", waymo / "gt.bin", "--detections", waymo / "detections.bin")
+    with pytest.raises(SystemExit) as stop:
+        main(
+            [*map(str, ("compare", "waymo", *given, "--trackers", "pmbm", "--classes", "VEHICLE"))]
+        )
+    assert stop.value.code == 0
+    assert "| pmbm |" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
