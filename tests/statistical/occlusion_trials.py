@@ -32,12 +32,14 @@ class Trial:
     ghost : s of reports, added up over tracks, that are near no object, seen or hidden.
     kept : (object, s at which it went out of sight) -> s out of sight, and whether it came back
         under its old id; None: it had none.
+    told : share of the frames that those objects are out of sight in which a report is near them.
     delay : object that is out of sight at first -> s from when it could first be seen to its first
         report; infinite without one.
     """
 
     ghost: float
     kept: Mapping[tuple[int, float], tuple[float, bool | None]]
+    told: float
     delay: Mapping[int, float]
 
 
@@ -49,10 +51,11 @@ def trial(recording: Recording, factory: TrackerFactory) -> Trial:
     truth = scene.truth
     hit = np.zeros(len(truth), bool)
     hit[matches.truth] = True
-    kept = {}
+    kept, told = {}, []
     for spell in occlusions(scene, matches):
         key = int(truth.index[spell.rows[0]]), spell.begin
         kept[key] = spell.end - spell.begin, None if spell.before is None else spell.kept
+        told.append(float(hit[spell.rows].mean()))
     delay = {}
     order = truth.by_object
     for rows in np.split(order, np.flatnonzero(np.diff(truth.index[order])) + 1):
@@ -65,7 +68,8 @@ def trial(recording: Recording, factory: TrackerFactory) -> Trial:
             float(found[0] - times[seen[0]]) if len(found) else np.inf
         )
     step = float(np.median(np.diff(scene.time)))
-    return Trial((len(scene.tracks) - len(matches.track)) * step, kept, delay)
+    ghost = float(len(scene.tracks) - len(matches.track)) * step
+    return Trial(ghost, kept, float(np.mean(told)) if told else 0.0, delay)
 
 
 def kept_shares(
