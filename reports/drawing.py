@@ -69,7 +69,9 @@ def colours_of(dark: bool) -> dict[str, str]:
     return DARK if dark else LIGHT
 
 
-def add_legend(figure: Figure, colours: dict[str, str], *, tracks: bool) -> None:
+def add_legend(
+    figure: Figure, colours: dict[str, str], *, tracks: bool, unknown: bool = False
+) -> None:
     """One quiet line under the picture that says what the marks are."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -81,10 +83,13 @@ def add_legend(figure: Figure, colours: dict[str, str], *, tracks: bool) -> None
         Patch(facecolor="none", edgecolor=colours["detection"], label="detection"),
         Patch(facecolor=colours["unseen"], label="cannot be seen"),
     ]
+    if unknown:
+        style: dict[str, Any] = {"edgecolor": colours["heat"], "linewidth": 1.8, "linestyle": "--"}
+        entries.insert(2, Patch(facecolor="none", **style, label="never detected"))
     if tracks:
         ring: dict[str, Any] = {"color": "none", "fillstyle": "none"}
         ring["markeredgecolor"] = colours["error"]
-        entries[3:3] = [
+        entries[-1:-1] = [
             Patch(facecolor="none", edgecolor=colours["soft"], linewidth=1.5, label="track"),
             Line2D([], [], marker="o", markersize=9, **ring, label="missed"),
             Line2D([], [], marker="x", markersize=7, **ring, label="false"),
@@ -172,8 +177,25 @@ class ScenePanel:
         image[..., :3] = to_rgb(self._colours["heat"])
         image[..., 3] = heat_opacity(density)
         self._axes.imshow(
-            image, extent=(x0, x1, y0, y1), origin="lower", interpolation="bilinear", zorder=0.5
+            image, extent=(x0, x1, y0, y1), origin="lower", interpolation="bilinear", zorder=1.5
         )
+
+    def unknown(self, truth: GroundTruth) -> None:
+        """Objects that no detection has shown."""
+        outlines = corners(truth.position, truth.size, truth.yaw)
+        self._polygons(
+            outlines,
+            zorder=8,
+            facecolor=self._colours["card"],
+            edgecolor=self._colours["heat"],
+            linewidth=1.8,
+            linestyle="--",
+        )
+
+    def marked(self, region: shapely.Geometry) -> None:
+        """The outline of a region that a callout speaks of."""
+        style: dict[str, Any] = {"edgecolor": self._colours["heat"], "linestyle": (0, (4, 2.5))}
+        self._region(region, facecolor="none", linewidth=0.8, zorder=3, **style)
 
     def callout(self, text: str, place: FloatArray) -> None:
         """Words on a small card, inside the picture."""

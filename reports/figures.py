@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from pmbm.errors import InputError
 from pmbm.types import FloatArray, GaussianMixture, Recording, Tracks, TrackSequence
@@ -31,6 +32,8 @@ __all__ = ["error_picture", "hidden_counts", "hidden_traffic_picture", "save", "
 
 Extent = tuple[float, float, float, float]
 TRAIL_SECONDS = 2.0
+SHOWN = 3
+"""Shadows that are marked with their numbers, at most."""
 
 
 def scene_picture(
@@ -84,11 +87,13 @@ def hidden_traffic_picture(
     many the tracker expects there beside how many there are.
 
     tracks : of a tracker that gives `Tracks.undetected`.
-    frame, extent, width : as for `scene_picture`.
+    frame : of the truth; by default the last one with the most hidden objects that no detection
+        has shown.
+    extent, width : as for `scene_picture`.
 
     Raises InputError for a frame that is not there or that has no intensity.
     """
-    frame = _busiest(recording) if frame is None else frame
+    frame = _most_unknown(recording, tracks) if frame is None else frame
     _check_frame(recording, frame)
     report = report_at(tracks, frame)
     if report is None or report.undetected is None:
@@ -102,24 +107,42 @@ def hidden_traffic_picture(
     with styled():
         figure, (axes,) = _figure(1, extent, dark=dark, width=width)
         panel = ScenePanel(axes, colours, extent)
+        truth = recording.truth[frame]
+        unknown = truth.take(never_detected(recording, frame) & ~truth.observable)
+        counted = hidden_counts(recording, report, frame, extent)
         panel.heat(report.undetected)
         draw_world(panel, recording, frame)
-        panel.tracks(report, recording.truth[frame], tracker_colour(colours, 0))
-        for place, expected, there in hidden_counts(recording, report, frame, extent):
-            panel.callout(f"{expected:.2f} expected, {there} there", place)
-        panel.caption("undetected objects: how many to expect where nothing can be seen")
+        panel.tracks(report, truth, tracker_colour(colours, 0))
+        panel.unknown(unknown)
+        for count in sorted(counted, key=lambda count: (count.there, count.expected))[-SHOWN:]:
+            panel.marked(count.region)
+            panel.callout(f"{count.expected:.2f} expected, {count.there} there", count.place)
+        total, there = sum(c.expected for c in counted), sum(c.there for c in counted)
+        panel.caption(f"Undetected objects in all shadows: {total:.2f} expected, {there} there")
         when = f"{recording.name}, {recording.truth[frame].time:.1f} s"
         axes.set_title(when, loc="right", color=colours["soft"], fontsize=8, pad=6)
         add_heat_scale(axes, colours)
-        add_legend(figure, colours, tracks=True)
+        add_legend(figure, colours, tracks=True, unknown=True)
     return figure
+
+
+class HiddenCount(NamedTuple):
+    """Undetected objects in a shadow: how many a tracker expects, and how many are there.
+
+    place (2,) : a point in it, in its widest part.
+    """
+
+    place: FloatArray
+    region: shapely.Polygon
+    expected: float
+    there: int
 
 
 def hidden_counts(
     recording: Recording, report: Tracks, frame: int, extent: Extent, *, least: float = 0.02
-) -> list[tuple[FloatArray, float, int]]:
-    """Per connected shadow within `extent`: a point in it (2,), the expected number of undetected
-    objects there, and the true number of objects there that no detection has ever shown.
+) -> list[HiddenCount]:
+    """Per connected shadow within `extent`: the expected number of undetected objects, and the true
+    number of objects there that no detection has ever shown.
 
     Shadows with fewer than `least` expected and none there are left out.
     """
@@ -127,8 +150,7 @@ def hidden_counts(
     truth = recording.truth[frame]
     region = hidden_region(truth, recording.site, sensor_pose(recording, frame))
     region = shapely.intersection(region, shapely.box(*extent))
-    first = first_detection(recording)
-    unknown = np.array([first.get(i, frame + 1) > frame for i in truth.id.tolist()], dtype=bool)
+    unknown = never_detected(recording, frame)
     found = []
     for part in shapely.get_parts(region):
         if part.geom_type != "Polygon":
@@ -138,9 +160,17 @@ def hidden_counts(
         inside = shapely.contains_xy(part.buffer(1.5), *truth.position[:, :2].T)
         there = int((inside & unknown & ~truth.observable).sum())
         if expected >= least or there:
-            place = part.representative_point()
-            found.append((np.array([place.x, place.y]), expected, there))
+            widest = shapely.maximum_inscribed_circle(part, tolerance=0.5).coords[0]
+            found.append(HiddenCount(np.array(widest), part, expected, there))
     return found
+
+
+def never_detected(recording: Recording, frame: int) -> NDArray[np.bool_]:
+    """Which of a frame's objects no detection has shown up to then."""
+    first = first_detection(recording)
+    return np.array(
+        [first.get(i, frame + 1) > frame for i in recording.truth[frame].id.tolist()], dtype=bool
+    )
 
 
 def expected_in(mixture: GaussianMixture, region: shapely.Polygon, step: float = 0.5) -> float:
@@ -233,6 +263,19 @@ def _busiest(recording: Recording) -> int:
         near = np.hypot(*(truth.position[:, :2] - pose[:2]).T) <= recording.site.max_range
         keys.append((int((near & ~truth.observable).sum()), int(near.sum()), -frame))
     return max(range(len(keys)), key=keys.__getitem__) if keys else 0
+
+
+def _most_unknown(recording: Recording, tracks: TrackSequence) -> int:
+    """The last stepped frame with the most objects out of sight that no detection has shown, then
+    with the most out of sight."""
+    keys = []
+    for frame in tracks.frame.tolist():
+        truth = recording.truth[frame]
+        offset = truth.position[:, :2] - sensor_pose(recording, frame)[:2]
+        hidden = (np.hypot(*offset.T) <= recording.site.max_range) & ~truth.observable
+        unknown = hidden & never_detected(recording, frame)
+        keys.append((int(unknown.sum()), int(hidden.sum()), frame))
+    return max(keys)[2] if keys else 0
 
 
 def _check_frame(recording: Recording, frame: int) -> None:

@@ -115,9 +115,9 @@ def test_shadows_are_counted_with_who_was_never_detected():
     )
     share = shapely.contains_xy(region, *draws.T).mean()
     assert 0.2 < share < 0.8
-    place, expected, _ = max(known, key=lambda row: row[1])
-    assert expected == pytest.approx(0.5 * share, rel=0.02)
-    assert shapely.contains_xy(region, *place)
+    most = max(known, key=lambda count: count.expected)
+    assert most.expected == pytest.approx(0.5 * share, rel=0.02)
+    assert shapely.contains_xy(region, *most.place)
     blind = Recording(
         name="blind",
         truth=scene.truth,
