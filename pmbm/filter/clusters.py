@@ -31,7 +31,8 @@ def joined(
 
     A measurement in the gate of none has a cluster of its own, of one empty hypothesis.
     """
-    cluster_of = np.empty(locals_count, np.intp)
+    # Those that no hypothesis mentions belong nowhere; they must not belong to noise.
+    cluster_of = np.zeros(locals_count, np.intp)
     cluster_of[table.member] = np.repeat(table.cluster, np.diff(table.start))
     number, component, of_measurement = components(
         table.clusters, measurements, cluster_of[pair_row], pair_measurement
