@@ -27,6 +27,7 @@ _COMMANDS = {
     "submit": "Results of many sequences as the one file that a benchmark takes.",
     "compare": "Several trackers over a dataset: who is better, by how much, and how surely.",
     "fit-detector": "A detector profile from labels and detections, and how well it fits.",
+    "fit-marks": "What scores and runs of misses tell the PMBM tracker, from labels.",
     "falsify": "Search a scenario for what breaks a tracker; keep the smallest that does.",
     "tune": "A tracker's parameters by Optuna, on scenarios or on a dataset's sequences.",
     "cache": "The simulated scenes kept on disk: show, list, clear.",

@@ -7,7 +7,7 @@ told apart by expectation-maximisation, together with how probably each level is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,8 @@ from pmbm.score import Calibration
 from pmbm.types import CLUTTER, BoolArray, FloatArray, IntArray, Label, Recording
 
 _LEVELS = 24
+_NEVER = -50.0
+"""Log-odds of what nobody has a model of."""
 _ROUNDS = 60
 _WORTH = 10
 """Detections up to which a source counts in proportion to them: a second's at 10 Hz."""
@@ -96,14 +98,76 @@ def sources(
             found.append((who, hit, known, own.raw_score[one], away[one], where))
         before += len(detections)
     if not found:
-        none = np.zeros(0)
-        return Sources(none.astype(int), none.astype(bool), none, none, none.astype(int))
+        none, nobody = np.zeros(0), np.zeros(0, np.int64)
+        return Sources(nobody, none.astype(bool), none, none, nobody)
     name, true, judged, score, away, row = (np.array(c) for c in zip(*found, strict=True))
     source = np.unique(name, return_inverse=True)[1]
     kept = (np.bincount(source, judged) >= 0.5 * np.bincount(source))[source]
     source = np.unique(source[kept], return_inverse=True)[1]
     share = np.bincount(source, true[kept]) / np.maximum(np.bincount(source, judged[kept]), 1)
     return Sources(source, (share > 0.5)[source], score[kept], away[kept], row[kept])
+
+
+def fit_marks(
+    recordings: Sequence[Recording],
+    groups: Sequence[Sequence[Label]],
+    configs: Mapping[Label, PMBMConfig],
+    unjudged: Sequence[Sequence[BoolArray]] | None = None,
+) -> dict[Label, Levels]:
+    """The levels of every label, from recordings with origins.
+
+    groups : labels that share one calibration and one set of levels, for what is seldom seen.
+    configs : of each label's tracker, which tells the sources apart.
+    unjudged : for every recording, as `sources` takes it.
+
+    Raises InputError for recordings without origins or raw scores, and where a group has no
+    objects.
+    """
+    open_questions = unjudged if unjudged is not None else [None] * len(recordings)
+    found = {
+        label: [
+            sources(recording, label, configs[label], which)
+            for recording, which in zip(recordings, open_questions, strict=True)
+        ]
+        for group in groups
+        for label in group
+    }
+    # Where there is no model of a label, its detections are nobody's rivals.
+    offset, slope, per_metre = (
+        np.full(len(Label), _NEVER),
+        np.zeros(len(Label)),
+        np.zeros(len(Label)),
+    )
+    near, far = Calibration.near, Calibration.far
+    for group in groups:
+        parts = [part for label in group for part in found[label]]
+        count = np.concatenate([np.bincount(part.source)[part.source] for part in parts])
+        weight = np.minimum(1.0, _WORTH / np.maximum(count, 1)) * (count >= _LASTING)
+        members = np.array(group, int)
+        offset[members], slope[members], per_metre[members] = fit_log_odds(
+            np.concatenate([part.score for part in parts]),
+            np.concatenate([part.range for part in parts]).clip(near, far),
+            np.concatenate([part.object for part in parts]),
+            weight,
+        )
+    calibration = Calibration(offset=offset, slope=slope, per_metre=per_metre)
+    log_odds = [
+        np.concatenate([calibration.log_odds(frame) for frame in recording.detections])
+        for recording in recordings
+    ]
+    levels = {}
+    for group in groups:
+        said: list[FloatArray] = []
+        true: list[bool] = []
+        for label in group:
+            for part, values in zip(found[label], log_odds, strict=True):
+                for one in range(int(part.source.max(initial=-1)) + 1):
+                    rows = np.flatnonzero(part.source == one)
+                    said.append(values[part.row[rows]])
+                    true.append(bool(part.object[rows[0]]))
+        fitted = fit_levels(said, np.array(true), group[0], calibration)
+        levels.update({Label(label): replace(fitted, label=int(label)) for label in group})
+    return levels
 
 
 def fit_log_odds(

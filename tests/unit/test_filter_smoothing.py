@@ -10,7 +10,9 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 
 from pmbm.errors import InputError
-from pmbm.filter import PMBMConfig, PMBMTracker, smooth
+from pmbm.filter import Levels, PMBMConfig, PMBMTracker, smooth
+from pmbm.geometry import wrap_angle
+from pmbm.score import Calibration
 from pmbm.types import Detections
 
 
@@ -98,6 +100,70 @@ def test_what_never_was_probable_is_not_reported():
     assert sum(map(len, steps)) > 0
     assert sum(map(len, smooth(steps))) == 0
     assert smooth([]) == ()
+
+
+def test_the_whole_life_decides():
+    """A source that looked like an object once, and in the end does not, is reported nowhere."""
+    marks = Levels(
+        label=0,
+        calibration=Calibration(offset=np.zeros(7), slope=np.ones(7), per_metre=np.zeros(7)),
+        level=[-3.0, 3.0],
+        scatter=3.0,
+        birth=[0.5, 0.5],
+        object=[0.0, 1.0],
+        clutter=[0.9, 0.1],
+    )
+    config = PMBMConfig.textbook(levels=marks, report_above=0.1)
+    shown = {}
+    for name, late in (("pole", -4.0), ("car", 4.0)):
+        tracker = PMBMTracker(config)
+        scores = [3.0] * 4 + [late] * 12
+        steps = [
+            tracker.step(replace(frame(0.1 * k, [[5.0, 1.0]]), raw_score=np.array([raw])))
+            for k, raw in enumerate(scores)
+        ]
+        assert max(one.score.max(initial=0) for one in steps[:5]) > 0.9
+        shown[name] = sum(map(len, smooth(steps, config)))
+    assert shown["pole"] == 0
+    assert shown["car"] >= 15
+
+
+def test_a_life_ends_with_its_last_detection_and_long_gaps_stay_open():
+    config = PMBMConfig.textbook(
+        clutter_rate=1e-6, detection_probability=0.5, survival=0.9999, report_above=0.001
+    )
+    _, frames = drive(2, frames=80, gap=(*range(20, 30), *range(40, 66), *range(75, 80)))
+    tracker = PMBMTracker(config)
+    steps = [tracker.step(one) for one in frames]
+    assert len(steps[77]) == 1
+    shown = [len(one) for one in smooth(steps, config)]
+    assert shown[75:] == [0] * 5
+    assert shown[40:65] == [0] * 25
+    assert shown[5:40] == [1] * 35
+
+
+def test_boxes_are_made_of_the_whole_life():
+    """Half turns are turned back, by motion or by the majority; one size; heights averaged."""
+    config = PMBMConfig.textbook(clutter_rate=1e-6)
+    _, frames = drive(3)
+    rng = np.random.default_rng(0)
+    made = []
+    for one in frames:
+        turned = rng.random() < 0.6
+        made.append(
+            replace(
+                one,
+                yaw=np.array([0.05 + rng.normal(0, 0.1) + np.pi * turned]),
+                position=one.position + np.array([0, 0, rng.normal(0, 0.2)]),
+            )
+        )
+    tracker = PMBMTracker(config)
+    after = smooth([tracker.step(one) for one in made], config)
+    told = [one for one in after if len(one)]
+    assert np.abs(wrap_angle(np.array([one.yaw[0] for one in told]) - 0.05)).max() < 0.15
+    assert np.std([one.position[0, 2] for one in told]) < 0.1
+    assert np.ptp([one.size[0, 0] for one in told]) == 0
+    assert told[0].size[0, 0] == pytest.approx(np.mean([one.size[0, 0] for one in made]), abs=0.05)
 
 
 def test_what_cannot_be_smoothed_is_refused():

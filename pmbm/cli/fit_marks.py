@@ -1,0 +1,166 @@
+"""`pmbm fit-marks`: what scores and runs of misses say, from a dataset's labels and detections."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmbm.cli.many import ManyValues
+from pmbm.cli.track import FOLDER
+
+if TYPE_CHECKING:
+    from pmbm.datasets import Dataset
+    from pmbm.filter import Levels, PMBMConfig
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.command(cls=ManyValues)
+@click.argument("dataset_name", metavar="DATASET")
+@click.option("--root", type=FOLDER, required=True, help="The dataset's folder, with its labels.")
+@click.option(
+    "--detections",
+    required=True,
+    metavar="PATH",
+    help="Detections with raw scores; {class} stands for the class's name where each class has its "
+    "own.",
+)
+@click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
+@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
+@click.option("--sequences", multiple=True, required=True, metavar="NAME...", help="To fit to.")
+@click.option(
+    "--together",
+    multiple=True,
+    metavar="CLASS...",
+    help="Classes that share what their scores say, for lack of examples of each.",
+)
+@click.option(
+    "--config",
+    type=FILE,
+    metavar="FILE.toml",
+    help="The PMBM tracker's other parameters.  [default: what ships for this dataset]",
+)
+@click.option("--out", type=FILE, required=True, metavar="FILE.toml", help="Parameters and marks.")
+def command(
+    dataset_name: str,
+    root: Path,
+    detections: str,
+    poses: Path | None,
+    classes: tuple[str, ...],
+    sequences: tuple[str, ...],
+    together: tuple[str, ...],
+    config: Path | None,
+    out: Path,
+) -> None:
+    """Fit the PMBM tracker's marks to DATASET: what a score says of an object and of a pole, and
+    how misses come in runs; write them, with the tracker's other parameters, as a file that
+    `pmbm track --config` takes.  Sequences kept for reporting are refused.
+
+    \b
+    Example:
+      pmbm fit-marks kitti --root kitti --detections 'kitti/detections/pointrcnn_{class}' \\
+        --poses kitti/pose --sequences 0000 0002 0003 --together Pedestrian Cyclist --out marks.toml
+    """
+    from pmbm.cli.track import class_trackers, preset
+    from pmbm.datasets import open_dataset
+    from pmbm.datasets.files import replace_text
+    from pmbm.tune import refuse_reserved_sequences
+    from sim.toml_door import toml_text
+
+    refuse_reserved_sequences(dataset_name, sequences)
+    dataset = open_dataset(
+        dataset_name, root=root, detections=detections, poses=poses, classes=classes or None
+    )
+    trackers = class_trackers(dataset, "pmbm", config or preset(dataset_name, "pmbm"))
+    given = {
+        name: dict(trackers[label].parameters)
+        for name, label in zip(dataset.classes, trackers, strict=True)
+    }
+    fitted = _fitted(dataset, list(dict.fromkeys(sequences)), together, given)
+    note = (
+        "# The PMBM tracker's parameters, a table for each class.\n"
+        f"# visibility, detection_probability and levels: by pmbm fit-marks {dataset_name}, "
+        f"sequences\n# {' '.join(sequences)}"
+        + (f";\n# what scores say is shared by {' and '.join(together)}.\n" if together else ".\n")
+    )
+    replace_text(out, note + toml_text(fitted))
+    click.echo(out)
+
+
+def _fitted(
+    dataset: Dataset,
+    sequences: Sequence[str],
+    together: Sequence[str],
+    given: dict[str, dict[str, Any]],
+) -> dict[str, Any]:
+    """Each class's parameters with what was fitted in their place."""
+    from pmbm.datasets import with_origins
+    from pmbm.errors import InputError, nearest_hint
+    from pmbm.filter.fitting import fit_marks
+    from pmbm.filter.fitting_runs import fit_visibility, runs
+    from pmbm.study.configured import ConfiguredTracker
+    from pmbm.types import Label, Site
+
+    labels = dict(zip(dataset.classes, map(Label, dataset.labels), strict=True))
+    for name in together:
+        if name not in labels:
+            raise InputError(
+                f"no class '{name}'",
+                field="--together",
+                hint=nearest_hint(name, labels, "class"),
+            )
+    recordings = [with_origins(dataset.recording(name)) for name in sequences]
+    judge = getattr(dataset, "unjudged", None)
+    unjudged = None if judge is None else [judge(name) for name in sequences]
+    configs: dict[Label, PMBMConfig] = {}
+    result: dict[str, Any] = {}
+    for name, label in labels.items():
+        P_D, chain = fit_visibility(runs(recordings, label))
+        own = {key: value for key, value in given[name].items() if key not in ("kinds", "levels")}
+        own["detection_probability"] = _short(P_D)
+        own["visibility"] = {
+            part: _short(getattr(chain, part)) for part in ("unseen", "stay_seen", "stay_unseen")
+        }
+        made: Any = ConfiguredTracker("pmbm", tuple(own.items()))(Site())
+        configs[label], result[name] = made.config, own
+    groups = [[labels[name] for name in together]] if together else []
+    groups += [[label] for name, label in labels.items() if name not in together]
+    levels = fit_marks(recordings, groups, configs, unjudged)
+    for name, label in labels.items():
+        result[name]["levels"] = _table(levels[label])
+    return result
+
+
+def _table(levels: Levels) -> dict[str, Any]:
+    """As a file has it, to the digits that tell."""
+    shares = {name: _shortened(getattr(levels, name)) for name in ("level", "object")}
+    for name in ("birth", "clutter"):
+        rounded = [round(value, 5) for value in getattr(levels, name).tolist()]
+        # What rounding takes goes to the largest, so that the shares still add up to one.
+        top = rounded.index(max(rounded))
+        rounded[top] = round(rounded[top] + 1 - sum(rounded), 5)
+        shares[name] = rounded
+    calibration = levels.calibration
+    return {
+        "label": levels.label,
+        "scatter": _short(levels.scatter),
+        **shares,
+        "calibration": {
+            **{name: _shortened(getattr(calibration, name)) for name in _BY_LABEL},
+            **{name: _short(getattr(calibration, name)) for name in ("near", "far", "apart")},
+        },
+    }
+
+
+_BY_LABEL = ("offset", "slope", "per_metre")
+
+
+def _shortened(values: Any) -> list[float]:
+    return [_short(value) for value in values.tolist()]
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")

@@ -1,0 +1,98 @@
+"""How the detector loses and finds objects, from recordings whose detections' origins are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from pmbm.errors import InputError
+from pmbm.filter.marks import Visibility
+from pmbm.types import FloatArray, Label, Recording
+
+UNKNOWN = -1
+"""In runs: nobody can say whether the object ought to have been detected."""
+_FIRST_GUESS = (0.97, 0.15, 0.97, 0.9)
+
+
+def runs(recordings: Sequence[Recording], label: Label) -> list[NDArray[np.int8]]:
+    """For every object of a label, frame by frame from its first detection to its last, whether it
+    was detected: 1, 0, or `UNKNOWN` where it was not observable.
+
+    Raises InputError for recordings without origins.
+    """
+    found = []
+    for recording in recordings:
+        if recording.origin is None:
+            raise InputError("runs of misses are fitted to known origins", field="origin")
+        flags: dict[int, dict[int, int]] = {}
+        frames = zip(recording.frame.tolist(), recording.origin, strict=True)
+        for step, (frame, origin) in enumerate(frames):
+            truth = recording.truth[frame]
+            hit = np.isin(np.arange(len(truth)), origin)
+            for row in np.flatnonzero(truth.label == label).tolist():
+                known = bool(truth.observable[row]) or bool(hit[row])
+                flag = int(hit[row]) if known else UNKNOWN
+                flags.setdefault(int(truth.id[row]), {})[step] = flag
+        for one in flags.values():
+            hits = [step for step, flag in one.items() if flag == 1]
+            if hits:
+                span = range(min(hits), max(hits) + 1)
+                found.append(np.array([one.get(step, UNKNOWN) for step in span], np.int8))
+    return found
+
+
+def fit_visibility(
+    flags: Sequence[NDArray[np.int8]], interval: float = 0.1
+) -> tuple[float, Visibility]:
+    """P_D while seen, and the chain of being seen, most likely to give these runs (`runs`), which
+    begin and end with a detection; interval : s between frames.
+
+    By maximum likelihood; raises InputError where nothing was ever missed.
+    """
+    long = [one for one in flags if len(one) > 1]
+    if not any((one == 0).any() for one in long):
+        raise InputError("fitting visibility", field="flags", expected="misses among detections")
+    table = np.full((len(long), max(map(len, long))), UNKNOWN, np.int8)
+    for row, one in enumerate(long):
+        table[row, : len(one)] = one
+    start = np.log(_FIRST_GUESS) - np.log1p(-np.array(_FIRST_GUESS))
+    best = minimize(
+        lambda x: -_log_likelihood(table, *_shares(x)),
+        start,
+        method="Nelder-Mead",
+        options={"xatol": 1e-3, "fatol": 1e-3, "maxiter": 800},
+    )
+    P_D, unseen, stay_seen, stay_unseen = _shares(best.x).tolist()
+    return P_D, Visibility(
+        unseen=unseen, stay_seen=stay_seen, stay_unseen=stay_unseen, interval=interval
+    )
+
+
+def _shares(x: FloatArray) -> FloatArray:
+    shares: FloatArray = 0.5 * (1 + np.tanh(x / 2))
+    return shares.clip(1e-4, 1 - 1e-4)
+
+
+def _log_likelihood(
+    table: NDArray[np.int8], P_D: float, unseen: float, stay_seen: float, stay_unseen: float
+) -> float:
+    """Of runs (N,T), one an object, given that each begins with a detection."""
+    if stay_seen + stay_unseen < 1:
+        return -np.inf
+    usual = (1 - stay_unseen) / (2 - stay_seen - stay_unseen)
+    of_hit = np.array([P_D, P_D * unseen])
+    move = np.array([[stay_seen, 1 - stay_seen], [1 - stay_unseen, stay_unseen]])
+    state = np.tile(np.array([usual, 1 - usual]) * of_hit, (len(table), 1))
+    state /= state.sum(axis=1, keepdims=True)
+    total = 0.0
+    for flag in table[:, 1:].T:
+        state = state @ move
+        said = np.where((flag == 1)[:, None], of_hit, 1 - of_hit)
+        state = np.where((flag == UNKNOWN)[:, None], state, state * said)
+        weight = state.sum(axis=1, keepdims=True)
+        total += float(np.log(weight).sum())
+        state /= weight
+    return total

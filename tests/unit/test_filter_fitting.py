@@ -1,0 +1,278 @@
+"""What scores and misses say, fitted to sources and runs whose parameters are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pmbm.errors import InputError
+from pmbm.filter import Levels, PMBMConfig, PMBMTracker, Visibility
+from pmbm.filter.fitting import fit_levels, fit_log_odds, fit_marks, sources
+from pmbm.filter.fitting_runs import UNKNOWN, fit_visibility, runs
+from pmbm.score import Calibration
+from pmbm.types import CLUTTER, Detections, GroundTruth, Label, Recording, Site
+
+PLAIN = Calibration(offset=np.zeros(7), slope=np.ones(7), per_metre=np.zeros(7))
+
+
+def levels(**changes):
+    return Levels(
+        **{
+            "label": Label.CAR,
+            "calibration": PLAIN,
+            "level": [-2.0, 0.0, 2.0],
+            "scatter": 1.0,
+            "birth": [0.6, 0.2, 0.2],
+            "object": [0.02, 0.5, 0.98],
+            "clutter": [0.9, 0.08, 0.02],
+            **changes,
+        }
+    )
+
+
+def frame(when, xy, raw, label=Label.CAR):
+    xy = np.reshape(np.asarray(xy, float), (-1, 2))
+    n = len(xy)
+    return Detections(
+        time=when,
+        position=np.column_stack([xy, np.ones(n)]),
+        size=np.tile([4.0, 2.0, 1.5], (n, 1)),
+        yaw=np.zeros(n),
+        score=np.full(n, 0.5),
+        raw_score=np.broadcast_to(raw, n).astype(float),
+        label=np.broadcast_to(label, n).astype(int),
+    )
+
+
+def street(seed, frames=60, poles=6, cars=4):
+    """Cars of high scores and poles of low ones, all standing, and chance clutter; with origins."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(-60, 60, (cars + poles, 2))
+    level = np.r_[rng.normal(3, 0.7, cars), rng.normal(-2, 0.7, poles)]
+    truth, given, origin = [], [], []
+    for k in range(frames):
+        truth.append(
+            GroundTruth(
+                time=0.1 * k,
+                id=np.arange(cars),
+                position=np.column_stack([place[:cars], np.ones(cars)]),
+                size=np.tile([4.0, 2.0, 1.5], (cars, 1)),
+                yaw=np.zeros(cars),
+                velocity=np.zeros((cars, 2)),
+                label=np.full(cars, Label.CAR),
+                visibility=np.ones(cars),
+                observable=np.ones(cars, bool),
+                crashed=np.zeros(cars, bool),
+            )
+        )
+        seen = np.flatnonzero(rng.random(cars + poles) < 0.9)
+        stray = rng.uniform(-80, 80, (rng.poisson(1), 2))
+        where = np.concatenate([place[seen] + rng.normal(0, 0.1, (len(seen), 2)), stray])
+        raw = np.r_[level[seen] + rng.normal(0, 1, len(seen)), rng.normal(-2, 1, len(stray))]
+        given.append(frame(0.1 * k, where, raw))
+        origin.append(np.r_[np.where(seen < cars, seen, CLUTTER), np.full(len(stray), CLUTTER)])
+    return Recording(
+        name="street",
+        site=Site(),
+        truth=tuple(truth),
+        detections=tuple(given),
+        frame=np.arange(frames),
+        stamp=np.arange(frames),
+        origin=tuple(origin),
+        object_name={i: str(i) for i in range(cars)},
+        provenance={},
+    )
+
+
+def test_a_level_is_learned_by_bayes_rule():
+    """P(object) after three detections, against the sum over levels written out."""
+    config = PMBMConfig.textbook(levels=levels(), clutter_rate=1e-9)
+    tracker = PMBMTracker(config)
+    given = [1.5, -0.5, 0.7]
+    for k, raw in enumerate(given):
+        tracks = tracker.step(frame(0.1 * k, [[5.0, 0.0]], raw))
+    weight = np.array([0.6, 0.2, 0.2])
+    for raw in given:
+        weight *= np.exp(-0.5 * (raw - np.array([-2.0, 0.0, 2.0])) ** 2)
+    expected = weight @ [0.02, 0.5, 0.98] / weight.sum()
+    row = int(np.argmax(tracker.density.hypothesis_probability()))
+    assert tracks.score[0] == pytest.approx(tracker.density.local.existence[row] * expected)
+    assert tracker.inspect().object[0] == pytest.approx(tracks.score[0])
+
+
+def test_a_long_life_makes_no_object():
+    """A pole that stands at the level where half are objects stays a matter of even odds."""
+    tracker = PMBMTracker(PMBMConfig.textbook(levels=levels(), report_above=0.0))
+    rng = np.random.default_rng(0)
+    scores = [
+        tracker.step(frame(0.1 * k, [[5.0, 0.0]], rng.normal(0, 0.3))).score[:1] for k in range(80)
+    ]
+    assert scores[-1] == pytest.approx(0.5, abs=0.02)
+
+
+def test_one_level_says_nothing_and_is_the_plain_filter():
+    flat = levels(level=[0.0], birth=[1.0], clutter=[1.0], object=[1.0])
+    plain = PMBMTracker(PMBMConfig.textbook())
+    marked = PMBMTracker(PMBMConfig.textbook(levels=flat))
+    for one in street(3).detections[:15]:
+        a, b = plain.step(one), marked.step(one)
+        assert a.id.tolist() == b.id.tolist()
+        assert b.score == pytest.approx(a.score, rel=1e-12)
+        assert b.position == pytest.approx(a.position, rel=1e-12)
+
+
+def test_rivals_share_the_odds_of_a_place():
+    one, other = frame(0, [[10, 0]], 1.0, Label.PEDESTRIAN), frame(0, [[10.5, 0]], 2.0)
+    far = frame(0, [[12, 0]], 3.0)
+    both = Detections(
+        time=0.0,
+        **{
+            name: np.concatenate([getattr(part, name) for part in (one, other, far)])
+            for name in ("position", "size", "yaw", "score", "raw_score", "label")
+        },
+    )
+    a, b = np.exp(1.0), np.exp(2.0)
+    expected = np.log([a / (1 + b), b / (1 + a), np.exp(3.0)])
+    assert PLAIN.log_odds(both) == pytest.approx(expected, rel=1e-12)
+    # Two of one label are no rivals.
+    assert PLAIN.log_odds(frame(0, [[0, 0], [0.1, 0]], 1.0)) == pytest.approx([1.0, 1.0])
+
+
+def test_range_counts_between_its_bounds():
+    ranged = Calibration(
+        offset=np.zeros(7), slope=np.ones(7), per_metre=np.full(7, 0.1), near=10, far=60
+    )
+    found = ranged.log_odds(frame(0, [[3, 0], [30, 0], [90, 0]], 1.0))
+    assert found == pytest.approx([2.0, 4.0, 7.0])
+
+
+def test_a_tracker_of_one_label_is_told_of_rivals():
+    """A pedestrian's detection inside a surer cyclist's is not followed."""
+    score = []
+    for rival in (-9.0, 9.0):
+        mark = levels(label=Label.PEDESTRIAN)
+        tracker = PMBMTracker(PMBMConfig.textbook(levels=mark, report_above=0.0))
+        for k in range(5):
+            own, other = (
+                frame(0.1 * k, [[5.0, 0.0]], 2.0, Label.PEDESTRIAN),
+                frame(0.1 * k, [[5.3, 0.0]], rival, Label.CYCLIST),
+            )
+            names = ("position", "size", "yaw", "score", "raw_score", "label")
+            joined = {n: np.concatenate([getattr(own, n), getattr(other, n)]) for n in names}
+            tracks = tracker.step(Detections(time=0.1 * k, **joined))
+        assert set(tracks.label.tolist()) <= {Label.PEDESTRIAN}
+        score.append(tracks.score.max(initial=0.0))
+    assert score[0] > 0.8
+    assert score[1] < 0.2
+
+
+def test_log_odds_are_found_again():
+    rng = np.random.default_rng(1)
+    score, away = rng.normal(1, 2, 20000), rng.uniform(10, 60, 20000)
+    true = rng.random(20000) < 1 / (1 + np.exp(-(-3 + 1.2 * score + 0.05 * away)))
+    found = fit_log_odds(score, away, true, np.ones(20000))
+    assert found == pytest.approx((-3, 1.2, 0.05), rel=0.08)
+
+
+def test_levels_are_found_again():
+    rng = np.random.default_rng(2)
+    said, true = [], []
+    for _ in range(1200):
+        level = rng.choice([-3.0, 0.0, 3.0], p=[0.6, 0.2, 0.2])
+        true.append(rng.random() < 1 / (1 + np.exp(-1.5 * level)))
+        said.append(rng.normal(level, 0.8, rng.integers(2, 40)))
+    said += [rng.normal(-3, 0.8, 1) for _ in range(500)]
+    true += [False] * 500
+    found = fit_levels(said, np.array(true), Label.CAR, PLAIN)
+    assert found.scatter == pytest.approx(0.8, rel=0.05)
+    for level, share in ((-3.0, 0.6), (0.0, 0.2), (3.0, 0.2)):
+        near = np.abs(found.level - level) < 1.2
+        assert found.birth[near].sum() == pytest.approx(share, abs=0.05)
+        assert np.interp(level, found.level, found.object) == pytest.approx(
+            1 / (1 + np.exp(-1.5 * level)), abs=0.06
+        )
+    assert found.clutter @ found.level == pytest.approx(-3, abs=0.3)
+
+
+def test_marks_fitted_to_a_street_tell_its_cars_from_its_poles():
+    made = [street(seed) for seed in range(3)]
+    config = PMBMConfig.textbook(clutter_rate=1.0, measurement_sd=0.1)
+    marks = fit_marks(made, [[Label.CAR]], {Label.CAR: config})[Label.CAR]
+    tracker = PMBMTracker(PMBMConfig.textbook(clutter_rate=1.0, measurement_sd=0.1, levels=marks))
+    new = street(9)
+    counts = [len(tracker.step(one)) for one in new.detections]
+    assert np.mean(counts[20:]) == pytest.approx(4, abs=0.3)
+
+
+def test_sources_are_the_trackers_and_open_questions_are_left_out():
+    made = street(4)
+    config = PMBMConfig.textbook(clutter_rate=1.0, measurement_sd=0.1)
+    found = sources(made, Label.CAR, config)
+    everything = np.concatenate([one.raw_score for one in made.detections])
+    assert found.score == pytest.approx(everything[found.row])
+    count = np.bincount(found.source)
+    objects = np.unique(found.source[found.object])
+    assert np.sum(count[objects] > 30) == 4
+    unsure = [np.asarray(origin) == CLUTTER for origin in made.origin]
+    assert sources(made, Label.CAR, config, unsure).object.all()
+
+
+def test_runs_of_misses_are_found_again():
+    rng = np.random.default_rng(5)
+    flags = []
+    for _ in range(250):
+        seen, one = True, []
+        for _ in range(90):
+            seen = rng.random() < (0.97 if seen else 0.15)
+            one.append(int(rng.random() < (0.98 if seen else 0.2)))
+        hits = np.flatnonzero(one)
+        flags.append(np.array(one[hits[0] : hits[-1] + 1], np.int8))
+        flags[-1][1:-1][rng.random(len(flags[-1]) - 2) < 0.1] = UNKNOWN
+    P_D, chain = fit_visibility(flags)
+    assert pytest.approx(0.98, abs=0.01) == P_D
+    assert chain.unseen == pytest.approx(0.2 / 0.98, abs=0.04)
+    assert chain.stay_seen == pytest.approx(0.97, abs=0.01)
+    assert chain.stay_unseen == pytest.approx(0.85, abs=0.03)
+
+
+def test_runs_go_from_the_first_detection_to_the_last():
+    made = street(6, frames=30)
+    found = runs([made], Label.CAR)
+    assert len(found) == 4
+    assert all(one[0] == one[-1] == 1 for one in found)
+    hits = sum(int((one == 1).sum()) for one in found)
+    assert hits == sum(int((np.asarray(origin) != CLUTTER).sum()) for origin in made.origin)
+
+
+def test_what_cannot_be_fitted_is_refused_by_name():
+    with pytest.raises(InputError, match="origin"):
+        sources(
+            Recording(**{**vars_of(street(7, frames=3)), "origin": None}),
+            Label.CAR,
+            PMBMConfig.textbook(),
+        )
+    with pytest.raises(InputError, match="is_object"):
+        fit_levels([np.ones(3)], np.array([True]), Label.CAR, PLAIN)
+    with pytest.raises(InputError, match="flags"):
+        fit_visibility([np.ones(5, np.int8)])
+    for bad in (
+        {"scatter": 0.0},
+        {"level": [1.0, 0.0, 2.0]},
+        {"birth": [0.5, 0.1, 0.1]},
+        {"label": 9},
+    ):
+        with pytest.raises(InputError, match=next(iter(bad))):
+            levels(**bad)
+    with pytest.raises(InputError, match="levels"):
+        PMBMConfig(levels=levels(), scores="first")
+    assert isinstance(PMBMConfig(levels=levels()).visibility, Visibility)
+
+
+def vars_of(recording):
+    return {
+        name: getattr(recording, name)
+        for name in (
+            *("name", "site", "truth", "detections", "frame", "stamp"),
+            *("origin", "object_name", "provenance"),
+        )
+    }
