@@ -260,7 +260,7 @@ class PMBMTracker:
             from_scores=self._from_scores,
             visibility=config.visibility,
             scaled_misses=config.miss_rule == "scaled",
-            shadows=Shadows.of(predicted, view.pose[:2], self.site.occluders) if hides else None,
+            shadows=Shadows.of(predicted, view.pose, self.site.occluders) if hides else None,
             hides_undetected=detailed,
         )
 

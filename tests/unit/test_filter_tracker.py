@@ -257,9 +257,7 @@ def test_moving_and_turning_the_world_moves_and_turns_the_tracks(turn):
     shift = np.array([3000.0, -800.0])
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     site = Site(fov_centre=0.3, fov_half_angle=2.0, max_range=70.0)
-    # Shadows are cast along bearings fixed in the world, so they turn in small steps only.
-    config = PMBMConfig(occlusion=False)
-    a, b = PMBMTracker(config, site), PMBMTracker(config, site)
+    a, b = PMBMTracker(site=site), PMBMTracker(site=site)
     reported = 0
     for one in drive(9):
         xy = one.position[:, :2] @ rotation.T + shift

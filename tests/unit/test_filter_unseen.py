@@ -137,7 +137,7 @@ def test_the_visible_share_of_an_undetected_object_is_that_of_samples(place):
     root = np.array([[1.2, 0.0], [0.5, 0.9]])
     mean, cov = np.zeros((1, 4)), np.eye(4)[None].copy()
     mean[0, :2], cov[0, :2, :2] = place, root @ root.T
-    shadows = Shadows.of(Density.initial(Mixture.empty()), np.zeros(2), (WALL,))
+    shadows = Shadows.of(Density.initial(Mixture.empty()), np.zeros(3), (WALL,))
     got = shadows.undetected(mean, cov)
     samples = rng.multivariate_normal(mean[0, :2], cov[0, :2, :2], 20_000)
     hidden = hidden_share(*samples.T)
@@ -149,7 +149,7 @@ def test_the_visible_share_of_an_undetected_object_is_that_of_samples(place):
 
 
 def test_a_miss_in_the_open_changes_no_shape():
-    shadows = Shadows.of(Density.initial(Mixture.empty()), np.zeros(2), (WALL,))
+    shadows = Shadows.of(Density.initial(Mixture.empty()), np.zeros(3), (WALL,))
     rng = np.random.default_rng(6)
     root = rng.normal(size=(4, 4, 4))
     cov, mean = root @ root.transpose(0, 2, 1), np.array([[-20.0, 3, 1, 2]] * 4)
