@@ -87,18 +87,22 @@ class Inspection:
             return f"Track {track_id} is not in the tracker's mind at t = {self.time:g} s."
         track = int(found[0])
         company = int((self.cluster == self.cluster[track]).sum()) - 1
-        lines = [
-            f"Track {track_id} at t = {self.time:g} s exists with probability "
-            f"{self.existence[track]:.3f}; its cluster holds {company} other tracks."
-        ]
+        others = f"{company} other track{'' if company == 1 else 's'}"
         rows = np.flatnonzero(self.hypothesis_track == track)
+        told: dict[str, float] = {}
+        # Hypotheses that differ further back than is kept, or in other tracks, read alike.
         for row in rows[np.argsort(-self.probability[rows], kind="stable")].tolist():
             x, y, vx, vy = self.mean[row]
-            lines.append(
-                f"  {self.probability[row]:.3f}: at ({x:.1f}, {y:.1f}) m, moving "
-                f"({vx:.1f}, {vy:.1f}) m/s, exists with {self.hypothesis_existence[row]:.3f}"
-                f"{_told(self.history[row])}"
+            line = (
+                f"at ({x:.1f}, {y:.1f}) m, moving ({vx:.1f}, {vy:.1f}) m/s, exists with "
+                f"{self.hypothesis_existence[row]:.3f}{_told(self.history[row])}"
             )
+            told[line] = told.get(line, 0.0) + self.probability[row]
+        lines = [
+            f"Track {track_id} at t = {self.time:g} s exists with probability "
+            f"{self.existence[track]:.3f}; its cluster holds {others}."
+        ]
+        lines += [f"  {p:.3f}: {line}" for line, p in told.items()]
         return "\n".join(lines)
 
 

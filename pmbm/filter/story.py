@@ -185,7 +185,7 @@ def _ending(track_id: int, seen: Inspection, tracks: Tracks) -> str:
     """Whether it is reported at the end, and why."""
     head = f"At {seen.time:g} s it is"
     if (tracks.id == track_id).any():
-        return f"{head} reported.  {seen.story(track_id)}"
+        return "\n  ".join([f"{head} reported.", *seen.story(track_id).splitlines()])
     now = np.flatnonzero(seen.track_id == track_id)
     if not len(now):
         return f"{head} not reported: it is not in the tracker's mind any more."

@@ -107,7 +107,10 @@ def test_a_life_told_while_it_lasts_ends_with_its_hypotheses():
     assert "0.6 s hypotheses compete: " in story
     assert "missed" in story.split("compete: ")[-1].splitlines()[0]
     assert "At 0.6 s it is reported." in story
-    assert tracker.inspect().story(0) in story
+    now = tracker.inspect().story(0).splitlines()
+    assert story.splitlines()[-len(now) :] == [f"  {line}" for line in now]
+    told = [line.split(": ", 1) for line in now[1:]]
+    assert len({words for _, words in told}) == len(told) > 1
 
 
 def test_what_leaves_the_view_is_said_to_be_outside():
