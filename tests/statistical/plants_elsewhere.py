@@ -24,9 +24,9 @@ OTHER_PLANTS = [
     ),
     Plant(
         "what stands behind hides as well",
-        "pmbm/filter/occlusion.py",
-        "return bearing + np.minimum(distance, 0.999 * _FAR) / _FAR",
-        "return bearing + 0.5 - np.minimum(distance, 0.4 * _FAR) / _FAR",
+        "pmbm/filter/rays.py",
+        "return bearing + np.minimum(distance, 0.999 * FAR) / FAR",
+        "return bearing + 0.5 - np.minimum(distance, 0.4 * FAR) / FAR",
         by="tests/property/test_filter_occlusion.py::test_a_wall_hides_what_stands_behind_it_and_not_what_stands_before_it",
         tests=("tests/property/test_filter_occlusion.py",),
     ),

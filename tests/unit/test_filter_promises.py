@@ -92,7 +92,7 @@ def test_more_tracks_than_may_be_kept_is_told():
     wellformed(tracker)
 
 
-@pytest.mark.parametrize("turn", [0.0])
+@pytest.mark.parametrize("turn", [0.0, 0.7, -2.4])
 def test_a_moved_and_turned_world_hides_the_same(turn):
     """Objects behind each other and behind a wall."""
     shift = np.array([400.0, -150.0])
