@@ -90,7 +90,7 @@ def _detected(
         np.ones(len(pairs)),
         mean,
         cov,
-        scan.box[measurement],
+        sensor.boxed(local.box[row], scan.box[measurement]),
         scan.label[measurement],
         _remember(local.history[row], measurement),
         confidence=sensor.remembered(confidence, scan.confidence, measurement),
