@@ -260,6 +260,7 @@ class PMBMTracker:
             from_scores=self._from_scores,
             visibility=config.visibility,
             scaled_misses=config.miss_rule == "scaled",
+            newest_box=config.newest_box,
             shadows=Shadows.of(predicted, view.pose, self.site.occluders) if hides else None,
             hides_undetected=detailed,
         )
