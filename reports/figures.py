@@ -32,8 +32,8 @@ __all__ = ["error_picture", "hidden_counts", "hidden_traffic_picture", "save", "
 
 Extent = tuple[float, float, float, float]
 TRAIL_SECONDS = 2.0
-SHOWN = 3
-"""Shadows that are marked with their numbers, at most."""
+SHOWN, LEAST = 3, 0.02
+"""Shadows that are marked with their numbers, at most, and the fewest expected there."""
 
 
 def scene_picture(
@@ -109,12 +109,13 @@ def hidden_traffic_picture(
         panel = ScenePanel(axes, colours, extent)
         truth = recording.truth[frame]
         unknown = truth.take(never_detected(recording, frame) & ~truth.observable)
-        counted = hidden_counts(recording, report, frame, extent)
+        counted = hidden_counts(recording, report, frame, extent, least=0.0)
+        worth_telling = [c for c in counted if c.there or c.expected >= LEAST]
         panel.heat(report.undetected)
         draw_world(panel, recording, frame)
         panel.tracks(report, truth, tracker_colour(colours, 0))
         panel.unknown(unknown)
-        for count in sorted(counted, key=lambda count: (count.there, count.expected))[-SHOWN:]:
+        for count in sorted(worth_telling, key=lambda c: (c.there, c.expected))[-SHOWN:]:
             panel.marked(count.region)
             panel.callout(f"{count.expected:.2f} expected, {count.there} there", count.place)
         total, there = sum(c.expected for c in counted), sum(c.there for c in counted)
@@ -139,7 +140,7 @@ class HiddenCount(NamedTuple):
 
 
 def hidden_counts(
-    recording: Recording, report: Tracks, frame: int, extent: Extent, *, least: float = 0.02
+    recording: Recording, report: Tracks, frame: int, extent: Extent, *, least: float = LEAST
 ) -> list[HiddenCount]:
     """Per connected shadow within `extent`: the expected number of undetected objects, and the true
     number of objects there that no detection has ever shown.
