@@ -81,7 +81,6 @@ def detector_page(report: DetectorReport) -> str:
 
 def _row(item: Comparison) -> dict[str, Any]:
     recall = item.name.startswith("recall")
-    inside = item.interval is None or item.interval[0] <= item.difference <= item.interval[1]
     return {
         "name": item.name,
         "real": f"{item.real:.3f}",
@@ -91,7 +90,7 @@ def _row(item: Comparison) -> dict[str, Any]:
         "interval": ""
         if item.interval is None
         else f"{100 * item.interval[0]:+.1f} to {100 * item.interval[1]:+.1f}",
-        "inside": "inside" if inside else "outside",
+        "inside": "inside" if item.inside else "outside",
     }
 
 

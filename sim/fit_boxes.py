@@ -13,7 +13,8 @@ from sim.fit_scores import ScoreScale, fit_scores
 from sim.knobs import Curve
 from sim.moments import Sample, binned, lag_correlation, pair_correlations, range_bins
 
-_HELD_BY: Final = 20.0
+_HELD_BY: Final = 2.0
+"""Objects."""
 _SAME_SIZE: Final = 0.02
 """Objects whose sizes differ by less, m, do not say how a detector responds to size."""
 _LONG: Final = 10
@@ -32,9 +33,10 @@ def fit_errors(sample: Sample, scale: ScoreScale) -> dict[str, Any]:
     def spread(error: FloatArray) -> FloatArray:
         return np.sqrt(binned(np.square(error), bins))
 
-    sizes, expected = _fit_sizes(sample, bins)
+    objects = len(np.unique(np.stack([chances.recording, chances.object_id]), axis=1).T)
+    sizes, expected = _fit_sizes(hits, bins, objects)
     size_error = hits.size - expected
-    anchor, error = _fit_anchor(hits)
+    anchor, error = _fit_anchor(hits, bins, objects)
     hidden = _fit_hidden_noise(error[:, :2], chances.visibility, bins)
     position_error = error / (1 + hidden * (1 - chances.visibility))[:, None]
     flipped = np.abs(hits.yaw_error) > np.pi / 2
@@ -61,7 +63,7 @@ def fit_errors(sample: Sample, scale: ScoreScale) -> dict[str, Any]:
         "hidden_noise": hidden,
         **sizes,
         "size_pull": curve(sizes["size_pull"]),
-        "facing_anchor": anchor,
+        "facing_anchor": curve(anchor),
         "size_correlation": pair_correlations(standard[:, 3:6]),
         "flip_probability": float(flipped.mean()),
         "error_persistence": persistence,
@@ -72,38 +74,40 @@ def fit_errors(sample: Sample, scale: ScoreScale) -> dict[str, Any]:
     }
 
 
-def _fit_sizes(sample: Sample, bins: IntArray) -> tuple[dict[str, Any], FloatArray]:
+def _fit_sizes(hits: Hits, bins: IntArray, objects: int) -> tuple[dict[str, Any], FloatArray]:
     """Typical size, response and pull, and the sizes (R,3) expected under them.
 
     Least squares, in turn of the pull of each bin and of the response, which is held to the
-    identity with the weight of so many objects: an error of size lasts, so that a thousand boxes
-    of ten objects say little more than ten boxes.
+    identity.
     """
-    hits, chances = sample.hits, sample.chances.take(sample.hits.chance)
     typical = hits.size.mean(axis=0)
-    gap, shown = hits.true_size - typical, hits.size - typical
-    weight = 1 / np.maximum((shown - gap).var(axis=0), 1e-6)
-    objects = len(np.unique(np.stack([chances.recording, chances.object_id]), axis=1).T)
-    hold = _HELD_BY * len(gap) / objects * np.diag(gap.var(axis=0))
-    response, varied = np.eye(3), bool((gap.var(axis=0) > _SAME_SIZE**2).all())
-    for _ in range(10 if varied else 1):
+    spread = hits.true_size.var(axis=0)
+    weight = 1 / np.maximum((hits.size - hits.true_size).var(axis=0), 1e-6)
+    hold = _HELD_BY * len(bins) / objects * np.diag(spread)
+    response, varied = np.eye(3), bool((spread > _SAME_SIZE**2).all())
+    for _ in range(20 if varied else 1):
+        gap, shown = hits.true_size - typical, hits.size - typical
         expected = gap @ response.T
         above = binned((shown * expected) @ weight, bins)
-        shares = above / np.maximum(binned(np.square(expected) @ weight, bins), 1e-9)
-        shares = np.clip(shares, 0.0, 1.0)
+        shares = _ratio(above, binned(np.square(expected) @ weight, bins), bins, objects)
         if varied:
             scaled = shares[bins, None] * gap
             normal_matrix = scaled.T @ scaled + hold
             response = np.linalg.solve(normal_matrix, scaled.T @ shown + hold).T
             # The pull and the response may trade a factor: let the pull begin at none.
             response, shares = response * shares.max(), shares / max(shares.max(), 1e-9)
+            # The typical size under which errors are none on average, as far as it matters.
+            bias = (shown - shares[bins, None] * (gap @ response.T)).mean(axis=0)
+            moves = np.eye(3) - shares[bins].mean() * response
+            typical = typical + np.linalg.solve(moves.T @ moves + 0.05 * np.eye(3), moves.T @ bias)
     knobs: dict[str, Any] = {"size_pull": 1.0 - shares, "typical_size": tuple(typical.tolist())}
     if varied:
         knobs["size_response"] = tuple(map(tuple, np.clip(response, -2.0, 2.0).tolist()))
+    gap = hits.true_size - typical
     return knobs, typical + shares[bins, None] * (gap @ response.T)
 
 
-def _fit_anchor(hits: Hits) -> tuple[float, FloatArray]:
+def _fit_anchor(hits: Hits, bins: IntArray, objects: int) -> tuple[FloatArray, FloatArray]:
     """How far the centre moves with the side that faces the sensor (least squares), and the errors
     of the centre (R,3) left."""
     cos, sin = np.cos(hits.true_yaw), np.sin(hits.true_yaw)
@@ -111,9 +115,19 @@ def _fit_anchor(hits: Hits) -> tuple[float, FloatArray]:
     # Along the object's axes the sensor lies at (-cos, sin); back on the line of sight:
     x, y = -cos * shrunk[:, 0], sin * shrunk[:, 1]
     move = np.stack([x * cos - y * sin, x * sin + y * cos], axis=1)
-    anchor = (move * hits.error[:, :2]).sum() / max(np.square(move).sum(), 1e-9)
-    anchor = float(np.clip(anchor, 0.0, 1.0))
-    return anchor, hits.error - anchor * np.pad(move, ((0, 0), (0, 1)))
+    above = binned((move * hits.error[:, :2]).sum(axis=1), bins)
+    anchor = _ratio(above, binned(np.square(move).sum(axis=1), bins), bins, objects)
+    return anchor, hits.error - anchor[bins, None] * np.pad(move, ((0, 0), (0, 1)))
+
+
+def _ratio(above: FloatArray, below: FloatArray, bins: IntArray, objects: int) -> FloatArray:
+    """Ratios in each bin, from 0 to 1, held to that of all bins with the weight of so many objects:
+    an error of size lasts, so that a thousand boxes of ten objects say little more than ten."""
+    boxes = np.bincount(bins)
+    total, mass = float(boxes @ above), max(float(boxes @ below), 1e-9)
+    hold = _HELD_BY / objects * mass / len(boxes)
+    held: FloatArray = (boxes * above + hold * total / mass) / (boxes * below + hold)
+    return np.clip(held, 0.0, 1.0)
 
 
 def _lasting_share(standard: FloatArray, chances: Chances, persistence: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -111,6 +111,11 @@ class Comparison:
         """Model less real; relative for all but recall."""
         return _difference(self.name, self.real, self.model)
 
+    @property
+    def inside(self) -> bool:
+        """Whether the difference lies in the interval, or there is none."""
+        return self.interval is None or self.interval[0] <= self.difference <= self.interval[1]
+
 
 def compare(
     real: Sequence[dict[str, Figure]], model: Sequence[dict[str, Figure]]
@@ -138,31 +143,68 @@ def bootstrap(
     As many recordings as are held back are drawn, with replacement, of the fitted ones; the
     interval holds the middle 95 % of the differences of model and real over such draws.
     """
-    rng = np.random.default_rng(seed)
-    rows = rng.integers(0, len(fitted_real), (draws, len(held_real)))
+    resampled = _Resampled(len(fitted_real), len(held_real), draws, seed)
     result = []
     for item in compare(held_real, held_model):
+        interval = resampled.interval(item.name, fitted_real, fitted_model)
+        if interval is not None:
+            result.append(replace(item, interval=interval))
+    return result
+
+
+def between_real(
+    fitted: Sequence[dict[str, Figure]],
+    held: Sequence[dict[str, Figure]],
+    *,
+    draws: int = 2000,
+    seed: int = 0,
+) -> list[Comparison]:
+    """What `bootstrap` says of two disjoint sets of real recordings, without any model.
+
+    The figures of those held back stand for the model's, those of all fitted ones for the real;
+    the interval is that of as many recordings drawn of the fitted ones.  What leaves it does so
+    because recordings differ.
+    """
+    resampled = _Resampled(len(fitted), len(held), draws, seed)
+    # The same total for every draw.
+    whole = [pooled(fitted)] * len(fitted)
+    result = []
+    for item in compare([pooled(fitted)], held):
+        weight = pooled(held)[item.name].weight
+        interval = resampled.interval(item.name, whole, fitted)
+        if interval is not None and weight >= _FEWEST:
+            result.append(replace(item, weight=weight, interval=interval))
+    return result
+
+
+class _Resampled:
+    """Draws of `held` recordings of `fitted`, with replacement."""
+
+    def __init__(self, fitted: int, held: int, draws: int, seed: int) -> None:
+        self.rows = np.random.default_rng(seed).integers(0, fitted, (draws, held))
+
+    def interval(
+        self, name: str, real: Sequence[dict[str, Figure]], model: Sequence[dict[str, Figure]]
+    ) -> tuple[float, float] | None:
+        """Middle 95 % of the differences of model and real; None where few draws have both."""
         sums = [
             np.array(
                 [
-                    (part[item.name].total, part[item.name].weight) if item.name in part else (0, 0)
+                    (part[name].total, part[name].weight) if name in part else (0, 0)
                     for part in parts
                 ]
-            )[rows].sum(axis=1)
-            for parts in (fitted_real, fitted_model)
+            )[self.rows].sum(axis=1)
+            for parts in (real, model)
         ]
         differences = [
-            _difference(item.name, Figure(item.name, *a).value, Figure(item.name, *b).value)
+            _difference(name, Figure(name, *a).value, Figure(name, *b).value)
             for a, b in zip(*sums, strict=True)
             if a[1] > 0 and b[1] > 0
         ]
-        if len(differences) < draws / 2:
-            continue
+        if len(differences) < len(self.rows) / 2:
+            return None
         low, high = np.percentile(differences, [2.5, 97.5])
-        result.append(
-            Comparison(item.name, item.real, item.model, item.weight, (float(low), float(high)))
-        )
-    return result
+        return float(low), float(high)
 
 
 def _difference(name: str, real: float, model: float) -> float:

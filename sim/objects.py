@@ -108,7 +108,7 @@ class ObjectModel:
     hidden_size_bias: Annotated[float, Bound(-0.8, 4.0)] = 0.0
     size_response: SizeResponse | None = None
     near_side_anchor: Annotated[float, SHARE] = 0.0
-    facing_anchor: Annotated[float, SHARE] = 0.0
+    facing_anchor: Annotated[NumberOrCurve, SHARE] = _ZERO
     length_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     width_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     height_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
@@ -189,8 +189,10 @@ def sense(model: ObjectModel, seen: Targets, streams: Streams, false_boxes: Clut
     shift = _in_world(
         seen, model.near_side_anchor * np.sign(facing) * (seen.size - size)[:, :2] / 2
     )
-    if model.facing_anchor > 0:
-        held = model.facing_anchor * facing * (seen.size - reported)[:, :2] / 2
+    if any(model.facing_anchor.value):
+        held = (
+            model.facing_anchor(seen.distance)[:, None] * facing * (seen.size - reported)[:, :2] / 2
+        )
         shift = shift + _in_world(seen, held)
     boxes = Boxes(
         frame=seen.frame,

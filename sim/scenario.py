@@ -123,7 +123,11 @@ class Scenario:
         try:
             return load_profile(profile, table)
         except InputError as error:
-            raise error.located(file=error.file or self.file) from None
+            if error.file:
+                raise
+            # It is this file's own table that is wrong, not that of the profile's file.
+            key = f"detector.{error.field or 'profile'}"
+            raise error.located(file=self.file, field=key) from None
 
     def base(self) -> Scenario:
         """The same file without its sweep: the factor is off, as written."""

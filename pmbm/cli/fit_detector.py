@@ -77,7 +77,7 @@ def command(
     from reports.detector_page import DetectorReport, detector_page
     from sim.evidence import gather
     from sim.fit import fit_detector
-    from sim.likeness import bootstrap, compare, figures, modelled
+    from sim.likeness import between_real, bootstrap, compare, figures, modelled
     from sim.toml_door import toml_text
 
     dataset = open_dataset(
@@ -101,6 +101,11 @@ def command(
     _print("fitted sequences", fitted)
     if judged:
         _print("sequences held back, with the interval of a bootstrap of the fitted ones", judged)
+        click.echo(
+            f"outside the interval: {_outside(judged)}; between the real sequences alone, those "
+            "held back against those fitted, without any model: "
+            f"{_outside(between_real(fitted_real, held_real))}"
+        )
     outcome = _realism([*real, *held], model) if realism and len(real) + len(held) > 3 else None
     page = out / f"{name}.html"
     page.write_text(
@@ -132,6 +137,10 @@ def _modelled_figures(
         for trial in range(trials)
     ]
     return [pooled(parts) for parts in zip(*made, strict=True)]
+
+
+def _outside(rows: Sequence[Comparison]) -> str:
+    return f"{sum(not row.inside for row in rows)} of {len(rows)} figures"
 
 
 def _realism(recordings: Sequence[Recording], model: DetectorModel) -> Realism:
@@ -180,7 +189,7 @@ def _print(title: str, rows: Sequence[Comparison]) -> None:
             if row.interval is None
             else (
                 f"{100 * row.interval[0]:+.1f} to {100 * row.interval[1]:+.1f}"
-                + ("" if row.interval[0] <= row.difference <= row.interval[1] else "  out")
+                + ("" if row.inside else "  out")
             )
         )
         table.add_row(

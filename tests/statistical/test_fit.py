@@ -14,7 +14,7 @@ from pmbm.types import Site
 from sim.detector import load_profile
 from sim.evidence import gather
 from sim.fit import fit_detector
-from sim.likeness import bootstrap, compare, figures, modelled
+from sim.likeness import between_real, bootstrap, compare, figures, modelled
 from sim.realism import FEATURES, two_sample
 from sim.replay import replay
 
@@ -131,7 +131,7 @@ def test_how_a_detector_takes_sizes_and_where_it_holds_its_boxes_are_found():
     np.testing.assert_allclose(car.size_correlation, [0.6, 0.2, 0.5], atol=0.08)
     assert car.lasting_size_error == pytest.approx(0.6, abs=0.08)
     assert car.error_persistence == pytest.approx(0.5, abs=0.06)
-    assert car.facing_anchor == pytest.approx(0.6, abs=0.1)
+    np.testing.assert_allclose(car.facing_anchor(at), 0.6, atol=0.1)
     np.testing.assert_allclose(car.radial_noise(at), 0.1, rtol=0.15)
 
 
@@ -201,6 +201,18 @@ def test_the_bootstrap_covers_recordings_of_the_same_kind(recordings, fitted):
     assert np.mean(inside) > 0.6
 
 
+def test_recordings_of_another_kind_leave_the_interval_without_any_model(recordings):
+    real = [figures(recording) for recording in recordings]
+    alike = between_real(real[:6], real[6:], draws=400)
+    assert len(alike) > 10
+    assert np.mean([row.inside for row in alike]) > 0.6
+    worse = load_profile({}, {**KNOWN, "clutter": {"rate": 9.0}})
+    other = [figures(worse.detect(world(seed), seed)) for seed in range(6, 10)]
+    rows = {row.name: row for row in between_real(real[:6], other, draws=400)}
+    assert not rows["clutter car a frame"].inside
+    assert rows["clutter car a frame"].difference > 1
+
+
 @pytest.mark.slow
 def test_the_two_sample_test_tells_a_wrong_model_and_names_what_betrays_it(recordings, fitted):
     half = recordings[:6]
@@ -250,7 +262,7 @@ def test_pointrcnn_on_kitti_is_modelled_within_the_bars():
     model = fit_detector(real)
     made = [
         figures(recording, model)
-        for trial in range(6)
+        for trial in range(16)
         for recording in modelled(model, real, 7, trial)
     ]
     rows = compare([figures(recording) for recording in real], made)

@@ -73,9 +73,9 @@ def write(tmp_path, text):
         ("levels = [1.5, 3.0]", "levels = [1.5, 3.0]\ndefault = 2.0", ["sweep.default", "2.0"]),
         ("walker.speed", "walker.speeed", ["scene.tracks.walker.speeed", "'speed'"]),
         ('parameter = "scene.', 'parameter = "scnee.', ["sweep.parameter", "'scene'"]),
-        ('profile = "nominal"', 'profile = "nomnal"', ["nomnal", "'nominal'"]),
+        ('profile = "nominal"', 'profile = "nomnal"', ["detector.profile", "nomnal", "'nominal'"]),
         ('profile = "nominal"', "objects = { detection_probability = 1.3 }", ["1.3"]),
-        ('profile = "nominal"', "clutter = { rate = -1.0 }", ["clutter.rate", "-1"]),
+        ('profile = "nominal"', "clutter = { rate = -1.0 }", ["detector.clutter.rate", "-1"]),
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_error_that_names_it(tmp_path, old, new, words):
