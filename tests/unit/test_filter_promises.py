@@ -54,6 +54,11 @@ def test_likelihoods_of_1e_minus_400(gate, clutter):
     assert len(at) == 1
     assert at[0, 0] == pytest.approx(5.0, abs=0.2)
     assert density.local.existence.max() > 0.9
+    # So far away that neither births nor, where there is none, clutter explain it.
+    for k in range(3):
+        tracker.step(frame(2.1 + 0.1 * k, [[5.0, 0.0], [1e5, 0.0]]))
+        density = wellformed(tracker)
+    assert density.local.existence.max() > 0.99
 
 
 def test_covariances_that_are_nearly_singular():
