@@ -118,7 +118,14 @@ def test_shadows_are_counted_with_who_was_never_detected():
     most = max(known, key=lambda count: count.expected)
     assert most.expected == pytest.approx(0.5 * share, rel=0.02)
     assert shapely.contains_xy(region, *most.place)
-    blind = Recording(
+    blind = unseen(scene)
+    unknown = hidden_counts(blind, report, 46, (-60, -60, 60, 60))
+    assert sum(there for *_, there in unknown) == 1
+
+
+def unseen(scene):
+    """The same scene to a detector that finds nothing."""
+    return Recording(
         name="blind",
         truth=scene.truth,
         detections=tuple(d.take([]) for d in scene.detections),
@@ -127,8 +134,24 @@ def test_shadows_are_counted_with_who_was_never_detected():
         site=scene.site,
         origin=tuple(np.zeros(0, int) for _ in scene.detections),
     )
-    unknown = hidden_counts(blind, report, 46, (-60, -60, 60, 60))
-    assert sum(there for *_, there in unknown) == 1
+
+
+def test_the_hidden_map_is_of_the_last_moment_that_hides_most_unknown():
+    scene = recording()
+    blind, sequence = unseen(scene), tracks(scene, undetected=True)
+    pose = np.zeros(3)
+    hidden = [
+        int(((np.hypot(*(t.position[:, :2] - pose[:2]).T) <= 60) & ~t.observable).sum())
+        for t in scene.truth
+    ]
+    last = max(k for k, count in enumerate(hidden) if count == max(hidden))
+    figure = hidden_traffic_picture(blind, sequence)
+    axes = figure.axes[0]
+    assert axes.get_title(loc="right") == f"blind, {scene.truth[last].time:.1f} s"
+    assert any(text.get_text().endswith("1 there") for text in axes.texts)
+    assert "expected" in axes.get_title(loc="left")
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "never detected" in labels
 
 
 def test_the_hidden_map_is_written(tmp_path):
