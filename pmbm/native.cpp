@@ -10,6 +10,7 @@
 #include "assignment/k_best.hpp"
 #include "filter/branch.hpp"
 #include "filter/gate.hpp"
+#include "filter/merge.hpp"
 #include "filter/reduce.hpp"
 #include "filter/tables.hpp"
 
@@ -166,8 +167,9 @@ nb::tuple branched(Input<std::int64_t> cluster, Input<double> log_weight,
                    Input<std::int64_t> start, Input<std::int64_t> member,
                    Input<std::int64_t> row, Input<std::int64_t> measurement,
                    Input<double> pair_log_weight, Input<double> log_missed, Input<double> log_new,
-                   std::int64_t max_hypotheses, double largest_table, double margin,
-                   double log_threshold, bool clustering) {
+                   std::int64_t max_hypotheses, double largest_table,
+                   std::int64_t largest_search, double margin, double log_threshold,
+                   bool clustering) {
     pmbm::Table children;
     std::int64_t dropped = 0;
     {
@@ -178,7 +180,8 @@ nb::tuple branched(Input<std::int64_t> cluster, Input<double> log_weight,
              static_cast<std::int64_t>(row.size())},
             log_missed.data(), static_cast<std::int64_t>(log_missed.size()), log_new.data(),
             static_cast<std::int64_t>(log_new.size()),
-            {max_hypotheses, largest_table, margin, log_threshold, clustering}, dropped);
+            {max_hypotheses, largest_table, largest_search, margin, log_threshold, clustering},
+            dropped);
     }
     return nb::make_tuple(hand_over(std::move(children)), dropped);
 }
@@ -209,6 +212,15 @@ nb::tuple reduced(Input<std::int64_t> cluster, Input<double> log_weight, Input<s
                                          made.tracks_capped));
 }
 
+Output<std::int64_t> merge_groups(Input<double> log_weight, Table<double> mean, Table<double> cov,
+                                  double threshold, double alike) {
+    nb::gil_scoped_release released;
+    auto group = pmbm::merge_groups(log_weight.data(), mean.data(), cov.data(), log_weight.size(),
+                                    threshold, alike);
+    nb::gil_scoped_acquire held;
+    return hand_over(std::move(group));
+}
+
 Output<std::int64_t> likeliest(Input<std::int64_t> track, Input<double> mass,
                                std::int64_t tracks) {
     return hand_over(pmbm::likeliest(track.data(), mass.data(), track.size(),
@@ -237,6 +249,7 @@ NB_MODULE(_native, m) {
     m.def("fuse", &fuse);
     m.def("branched", &branched);
     m.def("reduced", &reduced);
+    m.def("merge_groups", &merge_groups);
     m.def("likeliest", &likeliest);
     m.def("probability", &probability);
 }

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <numeric>
 
 #include "assignment/k_best.hpp"
 #include "filter/join.hpp"
@@ -64,7 +65,8 @@ inline ChildrenOf best_children(const TableView& parents, const PairsView& known
                                 const double* log_missed, std::int64_t locals,
                                 const double* log_new, const std::int64_t* cluster_of,
                                 std::int64_t measurements, const std::int64_t* allowed,
-                                double margin, double log_threshold) {
+                                std::int64_t largest_search, double margin,
+                                double log_threshold) {
     Ints first_pair(static_cast<std::size_t>(locals) + 1, 0);
     for (std::int64_t p = 0; p < known.count; ++p) ++first_pair[known.row[p] + 1];
     for (std::int64_t i = 0; i < locals; ++i) first_pair[i + 1] += first_pair[i];
@@ -111,10 +113,14 @@ inline ChildrenOf best_children(const TableView& parents, const PairsView& known
         const double quota =
             std::ceil(static_cast<double>(allowed[cluster]) * std::exp(parents.log_weight[g]) -
                       1e-9);
+        const auto most = largest_search / std::max<std::int64_t>(
+                                               1, static_cast<std::int64_t>(options.size()));
         const auto before = found.taker.size(), children = found.parent.size();
         solver.choose({row.data(), column.data(), cost.data(),
                        static_cast<std::int64_t>(options.size()), 0, 0, rows, 0, end - begin},
-                      std::max<std::int64_t>(1, static_cast<std::int64_t>(quota)), margin, costs,
+                      std::max<std::int64_t>(
+                          1, std::min(most, static_cast<std::int64_t>(quota))),
+                      margin, costs,
                       found.taker, found.pair);
         for (auto i = before; i < found.pair.size(); ++i) {
             const auto& option = options[static_cast<std::size_t>(found.pair[i])];
@@ -180,9 +186,43 @@ inline Table extended(const TableView& parents, const ChildrenView& children,
     return table;
 }
 
+// _affordable(): the heaviest rows of each cluster whose options are together at most `largest`, one
+// at least.
+inline Table affordable(const TableView& table, const Ints& pairs_of, std::int64_t largest) {
+    Table kept;
+    Ints rows, options(static_cast<std::size_t>(table.rows), 0);
+    for (std::int64_t g = 0; g < table.rows; ++g) {
+        for (auto e = table.start[g]; e < table.start[g + 1]; ++e) {
+            options[g] += pairs_of[table.member[e]];
+        }
+    }
+    table.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
+        rows.resize(static_cast<std::size_t>(last - first));
+        std::iota(rows.begin(), rows.end(), first);
+        std::stable_sort(rows.begin(), rows.end(), [&](std::int64_t a, std::int64_t b) {
+            return table.log_weight[a] > table.log_weight[b];
+        });
+        std::size_t count = 0;
+        for (std::int64_t sum = 0; count < rows.size(); ++count) {
+            sum += options[rows[count]];
+            if (count && sum > largest) break;
+        }
+        rows.resize(count);
+        std::sort(rows.begin(), rows.end());
+        for (const auto g : rows) {
+            kept.member.insert(kept.member.end(), table.member + table.start[g],
+                               table.member + table.start[g + 1]);
+            kept.close_row(cluster, table.log_weight[g]);
+        }
+    });
+    return kept;
+}
+
 struct BranchLimits {
     std::int64_t max_hypotheses;
-    double largest_table, margin, log_threshold;
+    double largest_table;
+    std::int64_t largest_search;
+    double margin, log_threshold;
     bool clustering;
 };
 
@@ -203,9 +243,18 @@ inline Table branched(const TableView& table, const PairsView& known, const doub
     } else {
         allowed.assign(static_cast<std::size_t>(parents.clusters()), limits.max_hypotheses);
     }
+    Ints pairs_of(static_cast<std::size_t>(locals), 0);
+    for (std::int64_t p = 0; p < known.count; ++p) ++pairs_of[known.row[p]];
+    std::int64_t options = 0;
+    for (std::int64_t e = 0; e < parents.members(); ++e) options += pairs_of[parents.member[e]];
+    Table cut;
+    if (options > limits.largest_search) {
+        cut = affordable(parents, pairs_of, limits.largest_search);
+        parents = view_of(cut);
+    }
     const auto children =
         best_children(parents, known, log_missed, locals, log_new, cluster_of.data(), measurements,
-                      allowed.data(), limits.margin, limits.log_threshold);
+                      allowed.data(), limits.largest_search, limits.margin, limits.log_threshold);
     dropped = children.dropped;
     return extended(parents,
                     {children.parent.data(), children.taker.data(), children.entry.data(),

@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from pmbm.filter.association import Pairs
 
 
+LARGEST_SEARCH = 300_000
+"""Options of a track and a measurement that are looked through in one cluster in one scan.  A
+cluster of more, such as a scan of thousands of detections on one spot, goes on from its likeliest
+parents alone and gives them fewer children, so that no frame stalls."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Children:
     """Global hypotheses after the scan, N rows sorted by cluster.
@@ -69,6 +75,7 @@ def branch(
             log_new,
             max_hypotheses,
             clusters.LARGEST_TABLE,
+            LARGEST_SEARCH,
             -log_negligible,
             log_negligible,
             clustering,
@@ -80,8 +87,32 @@ def branch(
     else:
         parents, cluster_of = table, np.zeros(M, np.intp)
         allowed = np.full(parents.clusters, max_hypotheses)
+    parents = _affordable(parents, np.bincount(known.row, minlength=H))
     children = best_children(parents, cluster_of, known, log_missed, log_new, allowed, negligible)
     return _over_candidates(parents, children, cluster_of, known, H), children.dropped
+
+
+def _affordable(parents: Globals, pairs_of: Index) -> Globals:
+    """The heaviest rows of each cluster whose options are together at most `LARGEST_SEARCH`, one at
+    least.  pairs_of (H,) : options of each local hypothesis."""
+    choices = pairs_of[parents.member]
+    if choices.sum() <= LARGEST_SEARCH:
+        return parents
+    options = summed(choices.astype(np.float64), parents.row_of_member(), len(parents))
+    order = np.lexsort((-parents.log_weight, parents.cluster))
+    first = np.flatnonzero(np.diff(parents.cluster, prepend=-1))
+    so_far = np.cumsum(options[order])
+    before = (so_far - options[order])[first]
+    kept = np.zeros(len(parents), bool)
+    kept[order] = so_far - before[parents.cluster] <= LARGEST_SEARCH
+    kept[order[first]] = True
+    length = np.diff(parents.start)
+    return Globals(
+        parents.cluster[kept],
+        parents.log_weight[kept],
+        starts(length[kept]),
+        parents.member[np.repeat(kept, length)],
+    )
 
 
 def best_children(
@@ -119,6 +150,8 @@ def best_children(
     new_row[1:] = (parent[1:] != parent[:-1]) | (measurement[1:] != measurement[:-1])
     gain = known.log_weight - log_missed[known.row] - log_new[known.measurement]
     quota = np.ceil(allowed[parents.cluster] * np.exp(parents.log_weight) - 1e-9)
+    options = summed(choices.astype(np.float64), row_of_entry, len(parents))
+    quota = np.minimum(quota, LARGEST_SEARCH // np.maximum(options, 1))
     best = k_best_choices(
         np.cumsum(new_row) - 1,
         entry,

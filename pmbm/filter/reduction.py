@@ -260,6 +260,9 @@ def merge_mixture(mixture: Mixture, threshold: float) -> Mixture:
 
 def _groups(mixture: Mixture, threshold: float) -> Index:
     """(P,) the component, by row, that each one is merged into."""
+    if compiled.native is not None:
+        columns = mixture.log_weight, mixture.mean, mixture.cov
+        return compiled.native.merge_groups(*columns, threshold, _ALIKE)
     one, other = _close_pairs(mixture, threshold)
     group = np.arange(len(mixture))
     if not len(one):

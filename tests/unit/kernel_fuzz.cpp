@@ -4,6 +4,7 @@
 #include "filter/branch.hpp"
 #include "filter/gate.hpp"
 #include "filter/join.hpp"
+#include "filter/merge.hpp"
 #include "filter/reduce.hpp"
 #include "filter/tables.hpp"
 
@@ -220,7 +221,8 @@ void fuzz_tables() {
     const auto scans = static_cast<std::int64_t>(cluster_of.size());
     const auto children =
         pmbm::best_children(view(scene.table), known, missed.data(), locals, fresh.data(),
-                            cluster_of.data(), scans, allowed.data(), chance() < 0.5 ? 4 : kInf,
+                            cluster_of.data(), scans, allowed.data(),
+                            chance() < 0.5 ? 1000000 : whole(1, 20), chance() < 0.5 ? 4 : kInf,
                             chance() < 0.5 ? -4 : -kInf);
     const auto made = pmbm::extended(
         view(scene.table),
@@ -231,7 +233,8 @@ void fuzz_tables() {
     const auto candidates = locals + known.count + scans;
     std::int64_t dropped = 0;
     check_table(pmbm::branched(view(scene.table), known, missed.data(), locals, fresh.data(), scans,
-                               {whole(1, 60), chance() < 0.5 ? 1e12 : 40.0, kInf, -kInf,
+                               {whole(1, 60), chance() < 0.5 ? 1e12 : 40.0,
+                                chance() < 0.5 ? 1000000 : whole(1, 20), kInf, -kInf,
                                 chance() < 0.7 || clusters == 1},
                                dropped),
                 candidates, nullptr);
@@ -357,6 +360,14 @@ void fuzz_gate() {
         }
     }
     require(at == rows.size(), "a pair out of the gate");
+    const auto groups =
+        pmbm::merge_groups(height.data(), mean.data(), cov.data(), n, threshold, chance());
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto head = groups[i];
+        require(head >= 0 && head < static_cast<std::int64_t>(n) && groups[head] == head,
+                "merged into what is merged itself");
+        require(height[head] >= height[i], "merged into a lighter one");
+    }
     pmbm::Ints origin, origins;
     pmbm::Floats share, shares;
     for (std::size_t i = 0; i < n; ++i) {

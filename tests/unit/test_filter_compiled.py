@@ -16,7 +16,7 @@ from pmbm.filter.density import Density, Globals, Locals, Mixture, Origin, start
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
 from pmbm.filter.models import Sensor
-from pmbm.filter.reduction import Limits, _pruned, reduce
+from pmbm.filter.reduction import Limits, _pruned, merge_mixture, reduce
 from pmbm.filter.resumption import ids_of_new
 from pmbm.filter.scan import Scan
 from pmbm.filter.weights import normalised
@@ -235,12 +235,34 @@ def test_the_reductions_had_something_to_do():
     assert merged.clusters <= found[0] < found[1] < found[2]
 
 
+def test_components_are_merged_alike(monkeypatch):
+    """Crowds of components at a few places, some of them wide, some apart in velocity alone."""
+    for seed in range(5):
+        random = np.random.default_rng(seed)
+        n = 300
+        mean = np.concatenate([random.normal(0, 1, (n, 2)), random.normal(0, 1, (n, 2))], axis=1)
+        mean[:, 0] += 20 * random.integers(0, 5, n)
+        root = (
+            random.normal(0, 0.4, (n, 4, 4))
+            + np.eye(4) * random.choice([0.5, 3.0], n)[:, None, None]
+        )
+        ppp = Mixture(random.normal(-3, 1, n), mean, root @ root.transpose(0, 2, 1))
+        fast, plain = on_both(monkeypatch, lambda ppp=ppp: merge_mixture(ppp, 4.0))
+        assert 30 < len(fast) < 280
+        for field in ("log_weight", "mean", "cov"):
+            assert getattr(fast, field).tolist() == getattr(plain, field).tolist()
+
+
 @pytest.mark.parametrize("negligible", [0.0, 0.05])
-@pytest.mark.parametrize(("cap", "largest"), [(10_000, 10**9), (7, 10**9), (200, 60)])
+@pytest.mark.parametrize(
+    ("cap", "largest", "search"),
+    [(10_000, 10**9, 10**9), (7, 10**9, 10**9), (200, 60, 10**9), (200, 10**9, 25)],
+)
 @pytest.mark.parametrize("ties", [0, 1, 3, 30])
-def test_hypotheses_branch_alike(monkeypatch, cap, largest, ties, negligible):
+def test_hypotheses_branch_alike(monkeypatch, cap, largest, search, ties, negligible):
     """Clusters that stay apart, clusters that measurements tie together, and measurements alone."""
     monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", largest)
+    monkeypatch.setattr("pmbm.filter.branching.LARGEST_SEARCH", search)
     joins = 0
     for seed in range(5):
         table, track = random_table(seed)

@@ -1,0 +1,95 @@
+"""No frame stalls and nothing grows, however crowded one frame is and however long a run takes."""
+
+from __future__ import annotations
+
+import gc
+import resource
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from pmbm import Detections, PMBMConfig, PMBMTracker, Site, compiled
+
+needs_kernels = pytest.mark.skipif(
+    compiled.native is None, reason="the plain filter is for reading, not for crowds"
+)
+
+
+def frame(when, z):
+    n = len(z)
+    return Detections(
+        time=when,
+        position=np.column_stack([z, np.zeros(n)]),
+        size=np.ones((n, 3)),
+        yaw=np.zeros(n),
+        score=np.full(n, 0.5),
+        label=np.zeros(n, np.int8),
+    )
+
+
+@needs_kernels
+def test_ten_thousand_detections_on_fifty_tracks_do_not_stall_a_frame():
+    """All in one cluster, in each other's gates; what is known survives it."""
+    random = np.random.default_rng(1)
+    place = random.normal(0, 0.5, (50, 2))
+    tracker = PMBMTracker(PMBMConfig(), Site(max_range=80.0))
+    slowest, reported = 0.0, 0
+    for k in range(10):
+        crowd = random.normal(0, 2, (10_000, 2))
+        z = crowd if k == 6 else place + random.normal(0, 0.3, place.shape)
+        begin = time.process_time()
+        reported = len(tracker.step(frame(0.1 * k, z)))
+        slowest = max(slowest, time.process_time() - begin)
+    assert reported >= 40
+    # It takes a fifth of a second; without the limits it takes a minute.
+    assert slowest < 4.0
+
+
+SOAK_FRAMES = 100_000
+
+
+def coming_and_going(frames, random):
+    """Up to five objects at a time, each for some seconds, in a little clutter."""
+    objects = np.zeros((0, 4))
+    for k in range(frames):
+        objects[:, :2] += 0.1 * objects[:, 2:]
+        objects = objects[random.random(len(objects)) < 0.98]
+        if len(objects) < 5 and random.random() < 0.1:
+            born = np.concatenate([random.uniform(-40, 40, 2), random.normal(0, 5, 2)])
+            objects = np.concatenate([objects, born[None]])
+        seen = objects[random.random(len(objects)) < 0.9, :2]
+        clutter = random.uniform(-50, 50, (random.poisson(1), 2))
+        yield frame(0.1 * k, np.concatenate([seen + random.normal(0, 0.3, seen.shape), clutter]))
+
+
+@pytest.mark.slow
+@needs_kernels
+def test_a_day_long_run_stays_as_small_and_as_fast_as_it_was(verified):
+    """Memory and time per frame of the last tenth beside those of the second."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    tracker = PMBMTracker(PMBMConfig(), Site(max_range=60.0))
+    tenth = SOAK_FRAMES // 10
+    seconds, megabytes, tables = [], [], []
+    for k, detections in enumerate(coming_and_going(SOAK_FRAMES, np.random.default_rng(1))):
+        begin = time.process_time()
+        tracker.step(detections)
+        seconds.append(time.process_time() - begin)
+        if (k + 1) % tenth == 0:
+            gc.collect()
+            megabytes.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6)
+            density = tracker.density
+            tables.append(len(density.local) + len(density.undetected) + len(density.track_id))
+    slower = float(np.median(seconds[-tenth:]) / np.median(seconds[tenth : 2 * tenth]))
+    grown = megabytes[-1] - megabytes[1]
+    passed = grown < 10 and slower < 1.3 and max(tables[1:]) < 2000
+    verified(
+        "soak",
+        f"{SOAK_FRAMES} frames with births and deaths: peak memory gained after the first fifth, MB, "
+        "and time per frame in the last tenth beside the second",
+        [round(grown, 2), round(slower, 2)],
+        [10, 1.3],
+        passed,
+    )
+    assert passed, (megabytes, slower, tables)
