@@ -199,7 +199,14 @@ class Sensor:
         in_the_open = own * self._share_in_view(local.mean, local.cov)
         if self.shadows is None:
             return in_the_open, in_the_open, (local.mean, local.cov)
-        visible, vague, glimpse = self.shadows.of_tracks(local)
+        return self._hidden(self.shadows, local, in_the_open)
+
+    @staticmethod
+    def _hidden(
+        shadows: Shadows, local: Locals, in_the_open: FloatArray
+    ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
+        """`of_tracks` where something may hide them, P_D (H,) in the open."""
+        visible, vague, glimpse = shadows.of_tracks(local)
         mean, cov = local.mean, local.cov
         if len(vague):
             mean, cov = mean.copy(), cov.copy()

@@ -189,7 +189,7 @@ class Shadows:
         """Expected visible share (H,) of each local hypothesis; and of those whose place is little
         known, their rows and what is seen of them point by point.  A track never hides itself."""
         visible = self._share_of_bearings(local)
-        rows = np.flatnonzero(local.cov[:, 0, 0] + local.cov[:, 1, 1] > 2 * _VAGUE**2)
+        rows = np.flatnonzero(_vague(local))
         if not len(rows):
             return visible, rows, _NO_GLIMPSE
         mean, cov, box = local.mean[rows], local.cov[rows], local.box[rows]
@@ -277,7 +277,13 @@ class Shadows:
 
 
 def _targets(pose: FloatArray, local: Locals) -> Rays:
-    return box_rays(pose, local.mean[:, :2], local.box, widen=_across(pose[:2], local))
+    # Of those whose place is little known no bearings are counted.
+    widen = np.where(_vague(local), 0.0, _across(pose[:2], local))
+    return box_rays(pose, local.mean[:, :2], local.box, widen)
+
+
+def _vague(local: Locals) -> NDArray[np.bool_]:
+    return local.cov[:, 0, 0] + local.cov[:, 1, 1] > 2 * _VAGUE**2
 
 
 def _across(origin: FloatArray, local: Locals) -> FloatArray:

@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmbm.filter.density import Index, ragged, starts
 from pmbm.geometry import to_local
 from pmbm.types import FloatArray
 
-BEARINGS = 1440
+BEARINGS = 720
 STEP = 2 * np.pi / BEARINGS
 FAR = 1e5
 """m; no ray reaches further."""
@@ -30,13 +29,15 @@ class Rays:
 
     first (B+1,) : rays of outline b are first[b] .. first[b + 1] - 1, at consecutive bearings.
     bearing (n,) : index of the bearing.  distance (n,) : where the ray first meets the outline, m.
-    core (n,) : whether the outline covers the bearing, and not the margin around it alone.
+    margin (B,), cores (B,) : how many rays before the outline itself, in the margin around it, and
+        how many that the outline itself covers.
     """
 
     first: Index
     bearing: Index
     distance: FloatArray
-    core: NDArray[np.bool_]
+    margin: Index
+    cores: Index
 
     @property
     def outline(self) -> Index:
@@ -45,12 +46,10 @@ class Rays:
 
     def bare(self, rows: Index) -> Rays:
         """These outlines without the margins around them."""
-        count = np.diff(self.first)[rows]
-        at = ragged(self.first[rows], count)
-        core = self.core[at]
-        of_row = np.bincount(np.repeat(np.arange(len(rows)), count)[core], minlength=len(rows))
-        at = at[core]
-        return Rays(starts(of_row), self.bearing[at], self.distance[at], self.core[at])
+        cores = self.cores[rows]
+        at = ragged(self.first[rows] + self.margin[rows], cores)
+        none = np.zeros(len(rows), np.intp)
+        return Rays(starts(cores), self.bearing[at], self.distance[at], none, cores)
 
     @staticmethod
     def joined(a: Rays, b: Rays) -> Rays:
@@ -58,7 +57,8 @@ class Rays:
             np.concatenate([a.first, a.first[-1] + b.first[1:]]),
             np.concatenate([a.bearing, b.bearing]),
             np.concatenate([a.distance, b.distance]),
-            np.concatenate([a.core, b.core]),
+            np.concatenate([a.margin, b.margin]),
+            np.concatenate([a.cores, b.cores]),
         )
 
 
@@ -107,20 +107,21 @@ def box_rays(
     around = (np.abs(x) <= half_length) & (np.abs(y) <= half_width)
     count = np.where(around, 0, end - begin + 1)
     bearing = ragged(begin, count)
-    row = np.repeat(np.arange(len(box)), count)
-    core = (bearing >= core_begin[row]) & (bearing <= core_end[row])
     bearing = np.mod(bearing, BEARINGS)
 
     # Where each ray enters and leaves the box's two pairs of sides.
-    towards_x, towards_y, cos, sin = _COS[bearing], _SIN[bearing], cos[row], sin[row]
+    of_box = np.repeat(np.stack([cos, sin, x, y, half_length, half_width, range_]), count, axis=1)
+    cos, sin, x, y, half_length, half_width, range_ = of_box
+    towards_x, towards_y = _COS[bearing], _SIN[bearing]
     per_x = 1 / _not_zero(towards_x * cos + towards_y * sin)
     per_y = 1 / _not_zero(towards_y * cos - towards_x * sin)
-    at_x, at_y = -x[row] * per_x, -y[row] * per_y
-    within_x, within_y = half_length[row] * np.abs(per_x), half_width[row] * np.abs(per_y)
+    at_x, at_y = -x * per_x, -y * per_y
+    within_x, within_y = half_length * np.abs(per_x), half_width * np.abs(per_y)
     enter = np.maximum(at_x - within_x, at_y - within_y)
     leave = np.minimum(at_x + within_x, at_y + within_y)
-    distance = np.where((enter <= leave) & (enter > 0), enter, range_[row])
-    return Rays(starts(count), bearing, distance, core)
+    distance = np.where((enter <= leave) & (enter > 0), enter, range_)
+    cores = np.where(around, 0, core_end - core_begin + 1)
+    return Rays(starts(count), bearing, distance, core_begin - begin, cores)
 
 
 def _not_zero(value: FloatArray) -> FloatArray:
@@ -156,7 +157,8 @@ def outline_rays(pose: FloatArray, outlines: Sequence[FloatArray]) -> Rays:
         np.cumsum(count),
         np.concatenate(bearings),
         np.concatenate(distances),
-        np.ones(sum(count), bool),
+        np.zeros(len(outlines), np.intp),
+        np.array(count[1:], np.intp),
     )
 
 

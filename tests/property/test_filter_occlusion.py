@@ -13,12 +13,12 @@ from pmbm.filter.association import associate
 from pmbm.filter.density import Density, Globals, Locals, Mixture
 from pmbm.filter.models import Sensor, constant_velocity
 from pmbm.filter.occlusion import Shadows
-from pmbm.filter.rays import box_rays, outline_rays
+from pmbm.filter.rays import BEARINGS, box_rays, outline_rays
 from pmbm.filter.scan import Scan
 from pmbm.filter.update import update
 from pmbm.geometry import corners, visible_fraction
 
-BEARING = 2 * np.pi / 1440
+BEARING = 2 * np.pi / BEARINGS
 
 
 def density_of(boxes, existence):
