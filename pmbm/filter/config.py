@@ -86,6 +86,8 @@ class PMBMConfig:
 
     Output
     report_above : a track is reported when its probability of existence exceeds this, in [0, 1].
+    keep_above : the batch mode keeps a track whose probability, as of its last detection, exceeds
+        this, in [0, 1].
     history : steps of association history kept per hypothesis, to look at, >= 0.
     """
 
@@ -124,6 +126,7 @@ class PMBMConfig:
     clustering: bool = True
     split_below: float = 1e-3
     report_above: float = 0.5
+    keep_above: float = 0.5
     history: int = 0
 
     def __post_init__(self) -> None:
@@ -249,6 +252,7 @@ _BOUNDS: dict[str, tuple[float, float, bool, bool]] = {
     "max_undetected": _COUNT,
     "split_below": _NOT_NEGATIVE,
     "report_above": _PROBABILITY,
+    "keep_above": _PROBABILITY,
     "history": (0, np.inf, False, True),
 }
 

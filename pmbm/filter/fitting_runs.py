@@ -10,16 +10,19 @@ from scipy.optimize import minimize
 
 from pmbm.errors import InputError
 from pmbm.filter.marks import Visibility
-from pmbm.types import FloatArray, Label, Recording
+from pmbm.types import CLUTTER, FloatArray, Label, Recording
 
-UNKNOWN = -1
-"""In runs: nobody can say whether the object ought to have been detected."""
+_OVER = -1
+"""In a table of runs: the run is over."""
+_SELDOM = 50
+"""Misses of an unseen object that the fit believes in beforehand: a few objects' runs do not tell a
+short flicker from being hidden, and who takes hidden objects for gone loses their identity."""
 _FIRST_GUESS = (0.97, 0.15, 0.97, 0.9)
 
 
 def runs(recordings: Sequence[Recording], label: Label) -> list[NDArray[np.int8]]:
     """For every object of a label, frame by frame from its first detection to its last, whether it
-    was detected: 1, 0, or `UNKNOWN` where it was not observable.
+    was detected, 1 or 0: whatever kept the detector from it, the tracker has to bridge it.
 
     Raises InputError for recordings without origins.
     """
@@ -27,40 +30,38 @@ def runs(recordings: Sequence[Recording], label: Label) -> list[NDArray[np.int8]
     for recording in recordings:
         if recording.origin is None:
             raise InputError("runs of misses are fitted to known origins", field="origin")
-        flags: dict[int, dict[int, int]] = {}
+        hits: dict[int, list[int]] = {}
         frames = zip(recording.frame.tolist(), recording.origin, strict=True)
         for step, (frame, origin) in enumerate(frames):
             truth = recording.truth[frame]
-            hit = np.isin(np.arange(len(truth)), origin)
-            for row in np.flatnonzero(truth.label == label).tolist():
-                known = bool(truth.observable[row]) or bool(hit[row])
-                flag = int(hit[row]) if known else UNKNOWN
-                flags.setdefault(int(truth.id[row]), {})[step] = flag
-        for one in flags.values():
-            hits = [step for step, flag in one.items() if flag == 1]
-            if hits:
-                span = range(min(hits), max(hits) + 1)
-                found.append(np.array([one.get(step, UNKNOWN) for step in span], np.int8))
+            rows = np.unique(origin[origin != CLUTTER])
+            for row in rows[truth.label[rows] == label].tolist():
+                hits.setdefault(int(truth.id[row]), []).append(step)
+        for steps in hits.values():
+            one = np.zeros(steps[-1] - steps[0] + 1, np.int8)
+            one[np.array(steps) - steps[0]] = 1
+            found.append(one)
     return found
 
 
 def fit_visibility(
     flags: Sequence[NDArray[np.int8]], interval: float = 0.1
 ) -> tuple[float, Visibility]:
-    """P_D while seen, and the chain of being seen, most likely to give these runs (`runs`), which
-    begin and end with a detection; interval : s between frames.
+    """P_D while seen, and the chain of being seen, of the greatest posterior given these runs
+    (`runs`), which begin and end with a detection; interval : s between frames.
 
-    By maximum likelihood; raises InputError where nothing was ever missed.
+    Beforehand an unseen object is taken to be seldom detected.  Raises InputError where nothing
+    was ever missed.
     """
     long = [one for one in flags if len(one) > 1]
     if not any((one == 0).any() for one in long):
         raise InputError("fitting visibility", field="flags", expected="misses among detections")
-    table = np.full((len(long), max(map(len, long))), UNKNOWN, np.int8)
+    table = np.full((len(long), max(map(len, long))), _OVER, np.int8)
     for row, one in enumerate(long):
         table[row, : len(one)] = one
     start = np.log(_FIRST_GUESS) - np.log1p(-np.array(_FIRST_GUESS))
     best = minimize(
-        lambda x: -_log_likelihood(table, *_shares(x)),
+        lambda x: -_log_likelihood(table, *_shares(x)) - _SELDOM * np.log1p(-_shares(x)[1]),
         start,
         method="Nelder-Mead",
         options={"xatol": 1e-3, "fatol": 1e-3, "maxiter": 800},
@@ -91,7 +92,7 @@ def _log_likelihood(
     for flag in table[:, 1:].T:
         state = state @ move
         said = np.where((flag == 1)[:, None], of_hit, 1 - of_hit)
-        state = np.where((flag == UNKNOWN)[:, None], state, state * said)
+        state = np.where((flag == _OVER)[:, None], state, state * said)
         weight = state.sum(axis=1, keepdims=True)
         total += float(np.log(weight).sum())
         state /= weight

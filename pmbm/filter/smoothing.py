@@ -28,24 +28,22 @@ _AS_UPDATED = 1.05
 """Factor on the area of a position's covariance up to which it is that of a Kalman update."""
 
 
-def smooth(
-    steps: Sequence[Tracks], config: PMBMConfig | None = None, report_above: float = 0.5
-) -> tuple[Tracks, ...]:
+def smooth(steps: Sequence[Tracks], config: PMBMConfig | None = None) -> tuple[Tracks, ...]:
     """The tracks of a whole run, each smoothed over its life: one `Tracks` per step, as given.
 
     A track counts as a whole: it is kept where its existence, as of its last detection, with the
-    evidence of its whole life, exceeds `report_above`; it then lives from its first report to its
-    last detection, gaps of up to two seconds filled.  A tracker that reports from a lower existence
-    on (`report_above` of its own configuration) thus lets tracks begin before the step in which
-    they became probable.  Positions and velocities are those of the Rauch-Tung-Striebel smoother
-    (AIAA Journal 3(8), 1965); size is the mean of the detections' and label the most frequent one;
-    height and heading are averaged over half a second about each step, boxes turned by half a turn
-    turned back, and vehicles turned to where they drive.
+    evidence of its whole life, exceeds the configuration's `keep_above`; it then lives from its
+    first report to its last detection, gaps of up to two seconds filled.  A tracker that reports
+    from a lower existence on (its own `report_above`) thus lets tracks begin before the step in
+    which they became probable.  Positions and velocities are those of the Rauch-Tung-Striebel
+    smoother (AIAA Journal 3(8), 1965); size is the mean of the detections' and label the most
+    frequent one; height and heading are averaged over half a second about each step, boxes turned
+    by half a turn turned back, and vehicles turned to where they drive.
 
     Parameters
     ----------
     steps : what the tracker reported, in order of time, with covariances; boxes as detected.
-    config : of that tracker; its noise is needed (default: `PMBMConfig()`).
+    config : of that tracker; its noise and `keep_above` count (default: `PMBMConfig()`).
 
     Raises
     ------
@@ -60,7 +58,7 @@ def smooth(
     lives = []
     for number, rows in sorted(_rows_of_tracks(steps).items()):
         life, forward = _forward(_life(steps, number, rows, times), config)
-        if life.score[-1] > report_above:
+        if life.score[-1] > config.keep_above:
             lives.append(_with_boxes(_backward(life, forward)))
     return tuple(_step(one, number, lives) for number, one in enumerate(steps))
 

@@ -8,7 +8,7 @@ import pytest
 from pmbm.errors import InputError
 from pmbm.filter import Levels, PMBMConfig, PMBMTracker, Visibility
 from pmbm.filter.fitting import fit_levels, fit_log_odds, fit_marks, sources
-from pmbm.filter.fitting_runs import UNKNOWN, fit_visibility, runs
+from pmbm.filter.fitting_runs import fit_visibility, runs
 from pmbm.score import Calibration
 from pmbm.types import CLUTTER, Detections, GroundTruth, Label, Recording, Site
 
@@ -227,7 +227,6 @@ def test_runs_of_misses_are_found_again():
             one.append(int(rng.random() < (0.98 if seen else 0.2)))
         hits = np.flatnonzero(one)
         flags.append(np.array(one[hits[0] : hits[-1] + 1], np.int8))
-        flags[-1][1:-1][rng.random(len(flags[-1]) - 2) < 0.1] = UNKNOWN
     P_D, chain = fit_visibility(flags)
     assert pytest.approx(0.98, abs=0.01) == P_D
     assert chain.unseen == pytest.approx(0.2 / 0.98, abs=0.04)
