@@ -94,14 +94,14 @@ def command(
     if metric not in by.shown:
         hint = nearest_hint(metric, by.shown, "metric")
         raise InputError(f"the rule has no '{metric}'", field="--metric", hint=hint)
+    if ego_motion and poses is None:
+        raise InputError("without poses there is nothing to leave out", field="--poses")
     options: dict[str, Any] = {"root": root, "detections": detections, "classes": classes or None}
     dataset = open_dataset(dataset_name, **options, poses=poses)
     names = list(dict.fromkeys(sequences)) or dataset.sequences()
     entries = _configured(dataset, dataset_name, list(dict.fromkeys(trackers)), published)
     runs = _run(dataset_name, dataset, names, entries, rule, jobs)
     if ego_motion:
-        if poses is None:
-            raise InputError("without poses there is nothing to leave out", field="--poses")
         standing = open_dataset(dataset_name, **options)
         for kind, found in _run(dataset_name, standing, names, entries, rule, jobs).items():
             runs[kind] |= {f"{name}{WITHOUT_POSES}": each for name, each in found.items()}

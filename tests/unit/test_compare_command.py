@@ -121,6 +121,14 @@ def test_without_origins_no_object_is_the_clairvoyants(folder, capsys):
     assert (found["FP"], found["FN"]) == (0, found["GT"])
 
 
+def test_ego_motion_needs_poses(capsys):
+    given = ("--root", SAMPLE / "training", "--detections", SAMPLE / "detections_ab3dmot")
+    with pytest.raises(SystemExit) as stop:
+        main([*map(str, ("compare", "kitti", *given, "--classes", "Car", "--ego-motion"))])
+    assert stop.value.code == 2
+    assert "--poses" in capsys.readouterr().err
+
+
 def test_a_truth_in_one_file_is_a_root(capsys):
     waymo = SAMPLE.parent / "waymo"
     given = ("--root", waymo / "gt.bin", "--detections", waymo / "detections.bin")
