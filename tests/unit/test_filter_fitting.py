@@ -194,6 +194,16 @@ def test_levels_are_found_again():
     assert found.clutter @ found.level == pytest.approx(-3, abs=0.3)
 
 
+def test_long_lives_tell_near_levels_apart():
+    rng = np.random.default_rng(3)
+    level = np.repeat([-1.0, 1.0], 200)
+    either = rng.random(400) < 0.5
+    found = fit_levels([rng.normal(m, 1.5, 30) for m in level], either, Label.CAR, PLAIN)
+    between = np.abs(found.level) < 0.45
+    assert between.any()
+    assert found.birth[between].sum() < 0.15
+
+
 def test_marks_fitted_to_a_street_tell_its_cars_from_its_poles():
     made = [street(seed) for seed in range(3)]
     config = PMBMConfig.textbook(clutter_rate=1.0, measurement_sd=0.1)
