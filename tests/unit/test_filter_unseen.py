@@ -1,6 +1,7 @@
 """The map of the unseen: its lattice, its shadows, and what bounds it."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -225,3 +226,31 @@ def test_without_the_option_nothing_is_touched():
     assert shape[0] is mean
     assert shape[1] is cov
     np.testing.assert_array_equal(if_missed, sensor.detection_probability(mean, cov))
+
+
+CELL = 0.5
+
+
+@pytest.mark.parametrize("speed", [0.0, 4.0])
+def test_the_count_in_a_shadow_is_that_of_a_grid(speed):
+    """Undetected objects that stand still, cell by cell of half a metre: born, dying, looked at;
+    behind a wall that stands and behind one that moves, which sweeps ground out and hides other."""
+    config = model(birth_speed_sd=0.05, spectral_density=0.01)
+    tracker = PMBMTracker(config, SITE)
+    initial, born = births(config)
+    side = np.arange(8.0, 44.0, CELL) + CELL / 2, np.arange(-44.0, 44.0, CELL) + CELL / 2
+    grid = np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)
+    area, survives = CELL**2, config.survival ** (DT / config.survival_interval)
+    each_frame = born.public().intensity(grid) * area
+    in_view = np.hypot(*grid.T) <= SITE.max_range
+    count = initial.public().intensity(grid) * area / survives - each_frame / survives
+    for frame in range(31):
+        wall = WALL + np.array([0.0, speed * DT * frame])
+        tracker.site = replace(SITE, occluders=(wall,))
+        report = tracker.step(Detections.empty(time=DT * frame))
+        seen = config.detection_probability * in_view * (1 - hidden_share(*grid.T, wall=wall))
+        count = (survives * count + each_frame) * (1 - seen)
+    low, high = wall[:, 1].min() / 12, wall[:, 1].max() / 12
+    shadow = np.array([[14, 14 * low], [30, 30 * low], [30, 30 * high], [14, 14 * high]])
+    want = count[points_in_polygon(grid, shadow)].sum()
+    assert report.undetected.expected_count(shadow) == pytest.approx(want, rel=0.05)
