@@ -64,13 +64,14 @@ struct ChildrenOf {
 inline ChildrenOf best_children(const TableView& parents, const PairsView& known,
                                 const double* log_missed, std::int64_t locals,
                                 const double* log_new, const std::int64_t* cluster_of,
-                                std::int64_t measurements, const std::int64_t* allowed,
+                                std::int64_t measurements, std::int64_t clusters,
+                                const std::int64_t* allowed,
                                 std::int64_t largest_search, double margin,
                                 double log_threshold) {
     Ints first_pair(static_cast<std::size_t>(locals) + 1, 0);
     for (std::int64_t p = 0; p < known.count; ++p) ++first_pair[known.row[p] + 1];
     for (std::int64_t i = 0; i < locals; ++i) first_pair[i + 1] += first_pair[i];
-    Floats new_by_cluster(static_cast<std::size_t>(parents.clusters()), 0.0);
+    Floats new_by_cluster(static_cast<std::size_t>(clusters), 0.0);
     for (std::int64_t m = 0; m < measurements; ++m) new_by_cluster[cluster_of[m]] += log_new[m];
 
     struct Option {
@@ -148,19 +149,17 @@ struct ChildrenView {
     std::size_t count, uses;
 };
 
-// _over_candidates(): children as rows over the candidates.
-inline Table extended(const TableView& parents, const ChildrenView& children,
-                      const PairsView& known,
-                      const std::int64_t* cluster_of, std::int64_t measurements,
-                      std::int64_t locals) {
-    Ints first_of(static_cast<std::size_t>(parents.clusters()) + 1, 0);
+// _over_candidates(): children as rows over the candidates, appended to a table.
+inline void extend(Table& table, const TableView& parents, const ChildrenView& children,
+                   const PairsView& known, const std::int64_t* cluster_of,
+                   std::int64_t measurements, std::int64_t clusters, std::int64_t locals) {
+    Ints first_of(static_cast<std::size_t>(clusters) + 1, 0);
     for (std::int64_t m = 0; m < measurements; ++m) ++first_of[cluster_of[m] + 1];
     for (std::size_t c = 1; c < first_of.size(); ++c) first_of[c] += first_of[c - 1];
     Ints by_cluster(static_cast<std::size_t>(measurements)), next(first_of);
     for (std::int64_t m = 0; m < measurements; ++m) by_cluster[next[cluster_of[m]]++] = m;
 
     std::vector<unsigned char> taken(static_cast<std::size_t>(measurements), 0);
-    Table table;
     std::size_t use = 0;
     for (std::size_t child = 0; child < children.count; ++child) {
         const auto g = children.parent[child], begin = parents.start[g];
@@ -183,7 +182,6 @@ inline Table extended(const TableView& parents, const ChildrenView& children,
         for (auto i = first_use; i < use; ++i) taken[known.measurement[children.pair[i]]] = 0;
         table.close_row(cluster, children.log_weight[child]);
     }
-    return table;
 }
 
 // _affordable(): the heaviest rows of each cluster whose options are together at most `largest`, one
@@ -230,37 +228,49 @@ struct BranchLimits {
 inline Table branched(const TableView& table, const PairsView& known, const double* log_missed,
                       std::int64_t locals, const double* log_new, std::int64_t measurements,
                       const BranchLimits& limits, std::int64_t& dropped) {
-    Joined ties;
-    auto parents = table;
-    Ints cluster_of(static_cast<std::size_t>(measurements), 0), allowed;
-    if (limits.clustering) {
-        ties = joined(table, locals, known.row, known.measurement,
-                      static_cast<std::size_t>(known.count), measurements, limits.max_hypotheses,
-                      limits.largest_table);
-        parents = view_of(ties.table);
-        cluster_of = std::move(ties.of_measurement);
-        allowed = row_limits(parents, limits.max_hypotheses, limits.largest_table);
-    } else {
-        allowed.assign(static_cast<std::size_t>(parents.clusters()), limits.max_hypotheses);
-    }
+    constexpr std::size_t at_once = 1 << 20;
     Ints pairs_of(static_cast<std::size_t>(locals), 0);
     for (std::int64_t p = 0; p < known.count; ++p) ++pairs_of[known.row[p]];
-    std::int64_t options = 0;
-    for (std::int64_t e = 0; e < parents.members(); ++e) options += pairs_of[parents.member[e]];
-    Table cut;
-    if (options > limits.largest_search) {
-        cut = affordable(parents, pairs_of, limits.largest_search);
-        parents = view_of(cut);
+    Table grown;
+    dropped = 0;
+    const auto grow = [&](TableView parents, const Ints& cluster_of, std::int64_t clusters,
+                          const Ints& allowed) {
+        std::int64_t options = 0;
+        for (std::int64_t e = 0; e < parents.members(); ++e) options += pairs_of[parents.member[e]];
+        Table cut;
+        if (options > limits.largest_search) {
+            cut = affordable(parents, pairs_of, limits.largest_search);
+            parents = view_of(cut);
+        }
+        const auto children = best_children(
+            parents, known, log_missed, locals, log_new, cluster_of.data(), measurements, clusters,
+            allowed.data(), limits.largest_search, limits.margin, limits.log_threshold);
+        dropped += children.dropped;
+        extend(grown, parents,
+               {children.parent.data(), children.taker.data(), children.entry.data(),
+                children.pair.data(), children.log_weight.data(), children.parent.size(),
+                children.taker.size()},
+               known, cluster_of.data(), measurements, clusters, locals);
+    };
+    if (!limits.clustering) {
+        const auto clusters = table.clusters();
+        grow(table, Ints(static_cast<std::size_t>(measurements), 0), clusters,
+             Ints(static_cast<std::size_t>(clusters), limits.max_hypotheses));
+        return grown;
     }
-    const auto children =
-        best_children(parents, known, log_missed, locals, log_new, cluster_of.data(), measurements,
-                      allowed.data(), limits.largest_search, limits.margin, limits.log_threshold);
-    dropped = children.dropped;
-    return extended(parents,
-                    {children.parent.data(), children.taker.data(), children.entry.data(),
-                     children.pair.data(), children.log_weight.data(), children.parent.size(),
-                     children.taker.size()},
-                    known, cluster_of.data(), measurements, locals);
+    Joining joining(table, locals, known.row, known.measurement,
+                    static_cast<std::size_t>(known.count), measurements, limits.max_hypotheses,
+                    limits.largest_table);
+    const auto clusters = joining.clusters();
+    Table parents;
+    for (std::int64_t number = 0; number < clusters; ++number) {
+        joining.append(number, parents);
+        if (parents.member.size() < at_once && number + 1 < clusters) continue;
+        grow(view_of(parents), joining.of_measurement, clusters,
+             row_limits(view_of(parents), clusters, limits.max_hypotheses, limits.largest_table));
+        parents = Table();
+    }
+    return grown;
 }
 
 }  // namespace pmbm

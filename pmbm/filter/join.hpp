@@ -1,5 +1,5 @@
 // Clusters of global hypotheses that measurements tie together, as one cluster each.  The plain
-// versions are joined(), components(), join() and row_limit() of clusters.py, and say what is meant.
+// versions are components(), join() and row_limit() of clusters.py, and say what is meant.
 #pragma once
 
 #include <algorithm>
@@ -18,13 +18,15 @@ inline double row_limit(double rows, double members, double cap, double largest)
     return std::clamp(largest * rows / std::max(members, 1.0), 1.0, cap);
 }
 
-inline Ints row_limits(const TableView& table, std::int64_t cap, double largest) {
-    Ints limits;
-    table.each_cluster([&](std::int64_t, std::int64_t first, std::int64_t last) {
+// Of the clusters that the table holds rows of.
+inline Ints row_limits(const TableView& table, std::int64_t clusters, std::int64_t cap,
+                       double largest) {
+    Ints limits(static_cast<std::size_t>(clusters), cap);
+    table.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
         const double limit = row_limit(static_cast<double>(last - first),
                                        static_cast<double>(table.start[last] - table.start[first]),
                                        static_cast<double>(cap), largest);
-        limits.push_back(static_cast<std::int64_t>(limit));
+        limits[cluster] = static_cast<std::int64_t>(limit);
     });
     return limits;
 }
@@ -196,42 +198,62 @@ class Product {
     std::vector<std::size_t> order_;
 };
 
-struct Joined {
-    Table table;
+// join(): the clusters that stay apart, then products, then measurements without a cluster; made one
+// by one, since all products of a crowded scene together can be large.
+class Joining {
+ public:
+    Joining(const TableView& table, std::int64_t locals, const std::int64_t* pair_row,
+            const std::int64_t* pair_measurement, std::size_t pairs, std::int64_t measurements,
+            std::int64_t cap, double largest)
+        : table_(table), product_(table_, first_row_, cap, largest) {
+        Ints cluster_of(static_cast<std::size_t>(locals), 0), pair_cluster;
+        table_.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
+            first_row_.push_back(first);
+            for (auto e = table_.start[first]; e < table_.start[last]; ++e) {
+                cluster_of[table_.member[e]] = cluster;
+            }
+        });
+        first_row_.push_back(table_.rows);
+        for (std::size_t i = 0; i < pairs; ++i) pair_cluster.push_back(cluster_of[pair_row[i]]);
+        Components ties(table_.clusters(), measurements, pair_cluster, pair_measurement);
+        for (std::size_t c = 0; c < ties.number.size(); ++c) {
+            if (ties.number[c] < ties.apart) apart_.push_back(static_cast<std::int64_t>(c));
+        }
+        products_ = std::move(ties.products);
+        alone_ = ties.alone;
+        of_measurement = std::move(ties.of_measurement);
+    }
+    Joining(const Joining&) = delete;
+
+    std::int64_t clusters() const {
+        return static_cast<std::int64_t>(apart_.size() + products_.size()) + alone_;
+    }
+
+    // Appends the rows of the cluster of this number.
+    void append(std::int64_t number, Table& joined) {
+        const auto at = static_cast<std::size_t>(number);
+        if (at < apart_.size()) {
+            const auto c = apart_[at];
+            for (auto g = first_row_[c]; g < first_row_[c + 1]; ++g) {
+                joined.member.insert(joined.member.end(), table_.member + table_.start[g],
+                                     table_.member + table_.start[g + 1]);
+                joined.close_row(number, table_.log_weight[g]);
+            }
+        } else if (at < apart_.size() + products_.size()) {
+            product_.append(products_[at - apart_.size()], number, joined);
+        } else {
+            joined.close_row(number, 0.0);
+        }
+    }
+
     Ints of_measurement;
+
+ private:
+    TableView table_;
+    Ints first_row_, apart_;
+    std::vector<Ints> products_;
+    std::int64_t alone_ = 0;
+    Product product_;
 };
-
-// joined(): the clusters that stay apart, then products, then measurements without a cluster.
-inline Joined joined(const TableView& table, std::int64_t locals, const std::int64_t* pair_row,
-                     const std::int64_t* pair_measurement, std::size_t pairs,
-                     std::int64_t measurements, std::int64_t cap, double largest) {
-    Ints cluster_of(static_cast<std::size_t>(locals), 0), first_row, pair_cluster;
-    table.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
-        first_row.push_back(first);
-        for (auto e = table.start[first]; e < table.start[last]; ++e) {
-            cluster_of[table.member[e]] = cluster;
-        }
-    });
-    first_row.push_back(table.rows);
-    for (std::size_t i = 0; i < pairs; ++i) pair_cluster.push_back(cluster_of[pair_row[i]]);
-    Components ties(table.clusters(), measurements, pair_cluster, pair_measurement);
-
-    Joined result;
-    auto& out = result.table;
-    table.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
-        if (ties.number[cluster] >= ties.apart) return;
-        for (auto g = first; g < last; ++g) {
-            out.member.insert(out.member.end(), table.member + table.start[g],
-                              table.member + table.start[g + 1]);
-            out.close_row(ties.number[cluster], table.log_weight[g]);
-        }
-    });
-    Product product(table, first_row, cap, largest);
-    auto next = ties.apart;
-    for (const auto& clusters : ties.products) product.append(clusters, next++, out);
-    for (std::int64_t i = 0; i < ties.alone; ++i) out.close_row(next++, 0.0);
-    result.of_measurement = std::move(ties.of_measurement);
-    return result;
-}
 
 }  // namespace pmbm

@@ -54,6 +54,7 @@ inline std::vector<bool> surplus(const Floats& probability, const double* existe
 // The rows without the members marked in `gone`.
 inline Table without(const TableView& table, const std::vector<bool>& gone) {
     Table emptied;
+    emptied.reserve(table.rows, table.members());
     for (std::int64_t g = 0; g < table.rows; ++g) {
         for (auto e = table.start[g]; e < table.start[g + 1]; ++e) {
             if (!gone[table.member[e]]) emptied.member.push_back(table.member[e]);
@@ -68,7 +69,8 @@ inline ReducedTable reduced(const TableView& table, const double* existence,
                             const ReductionLimits& limits) {
     ReducedTable out;
     const auto caps = limits.clustering
-                          ? row_limits(table, limits.max_hypotheses, limits.largest_table)
+                          ? row_limits(table, table.clusters(), limits.max_hypotheses,
+                                       limits.largest_table)
                           : Ints(static_cast<std::size_t>(table.clusters()),
                                  limits.max_hypotheses);
     std::int64_t above = 0;

@@ -39,6 +39,14 @@ struct Table {
     Ints cluster, start{0}, member;
     Floats log_weight;
 
+    // Room for as much as another table holds: growing step by step takes time and memory.
+    void reserve(std::int64_t rows, std::int64_t members) {
+        cluster.reserve(static_cast<std::size_t>(rows));
+        log_weight.reserve(static_cast<std::size_t>(rows));
+        start.reserve(static_cast<std::size_t>(rows) + 1);
+        member.reserve(static_cast<std::size_t>(members));
+    }
+
     void close_row(std::int64_t of_cluster, double weight) {
         cluster.push_back(of_cluster);
         log_weight.push_back(weight);
@@ -66,6 +74,7 @@ inline void normalise(double* log_weight, std::int64_t first, std::int64_t last)
 inline Table pruned(const TableView& table, double log_threshold, const std::int64_t* cap,
                     std::int64_t& likely) {
     Table kept;
+    kept.reserve(table.rows, table.members());
     likely = 0;
     Ints rows;
     table.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
@@ -102,6 +111,7 @@ inline Table split(const TableView& table, std::int64_t locals) {
     Ints times(static_cast<std::size_t>(locals), 0);
     for (std::int64_t e = 0; e < table.members(); ++e) ++times[table.member[e]];
     Table apart;
+    apart.reserve(table.rows, table.members());
     Ints alone;
     std::int64_t open = 0;
     table.each_cluster([&](std::int64_t, std::int64_t first, std::int64_t last) {
@@ -133,6 +143,7 @@ inline Table split(const TableView& table, std::int64_t locals) {
 inline Table merged(const TableView& table) {
     std::vector<std::pair<std::uint64_t, std::int64_t>> rows;
     Table kept;
+    kept.reserve(table.rows, table.members());
     table.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
         rows.clear();
         for (auto g = first; g < last; ++g) {
@@ -288,6 +299,7 @@ inline void append_marginal(Table& table, const Dense& dense,
 inline Table factored(const TableView& table, const std::int64_t* track, double tolerance,
                       std::int64_t worth) {
     Table apart;
+    apart.reserve(table.rows, table.members());
     std::vector<std::pair<std::int64_t, std::int64_t>> large;
     std::int64_t cluster = 0;
     table.each_cluster([&](std::int64_t, std::int64_t first, std::int64_t last) {

@@ -130,12 +130,15 @@ class PMBMTracker:
         clock.read("associate")
         updated = update(predicted, scan, association, sensor)
         clock.read("update")
+        unlikely, gated = association.dropped, len(association.known.row)
+        # Of a large scene, what the scan said takes memory that the reduction can use.
+        del association
         self.density, reduced = reduce(updated, self._limits())
         self.reduced = replace(
             reduced,
-            hypotheses_pruned=reduced.hypotheses_pruned + association.dropped,
+            hypotheses_pruned=reduced.hypotheses_pruned + unlikely,
             undetected_dropped=dropped,
-            pairs_gated=len(predicted.local) * len(scan) - len(association.known.row),
+            pairs_gated=len(predicted.local) * len(scan) - gated,
         )
         clock.read("reduce")
         self._seconds = clock.seconds

@@ -168,9 +168,12 @@ void fuzz_joins(const Scene& scene, const pmbm::Ints& row, const pmbm::Ints& own
     const bool roomy = chance() < 0.5;
     const double largest = roomy ? 1e12 : whole(1, 60);
     const std::int64_t cap = roomy ? 1000000 : whole(1, 30);
-    const auto joined = pmbm::joined(view(scene.table), locals, row.data(), measurement.data(),
-                                     row.size(), measurements, cap, largest);
-    const auto& table = joined.table;
+    pmbm::Joining joined(view(scene.table), locals, row.data(), measurement.data(), row.size(),
+                         measurements, cap, largest);
+    pmbm::Table table;
+    for (std::int64_t number = 0; number < joined.clusters(); ++number) {
+        joined.append(number, table);
+    }
     std::int64_t clusters = 0;
     view(table).each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
         require(cluster == clusters++, "joined clusters are not numbered through");
@@ -188,8 +191,9 @@ void fuzz_joins(const Scene& scene, const pmbm::Ints& row, const pmbm::Ints& own
             }
         }
     }
-    require(pmbm::row_limits(view(table), cap, largest).size() ==
-                static_cast<std::size_t>(clusters), "a cluster without a limit");
+    for (const auto limit : pmbm::row_limits(view(table), clusters, cap, largest)) {
+        require(limit >= 1 && limit <= cap, "a limit beyond the cap");
+    }
     if (!roomy) return;
     const auto probability = pmbm::probability(view(scene.table), locals);
     check_table(table, locals, &probability);
@@ -221,15 +225,16 @@ void fuzz_tables() {
     const auto scans = static_cast<std::int64_t>(cluster_of.size());
     const auto children =
         pmbm::best_children(view(scene.table), known, missed.data(), locals, fresh.data(),
-                            cluster_of.data(), scans, allowed.data(),
+                            cluster_of.data(), scans, clusters, allowed.data(),
                             chance() < 0.5 ? 1000000 : whole(1, 20), chance() < 0.5 ? 4 : kInf,
                             chance() < 0.5 ? -4 : -kInf);
-    const auto made = pmbm::extended(
-        view(scene.table),
+    pmbm::Table made;
+    pmbm::extend(
+        made, view(scene.table),
         {children.parent.data(), children.taker.data(), children.entry.data(),
          children.pair.data(), children.log_weight.data(), children.parent.size(),
          children.taker.size()},
-        known, cluster_of.data(), scans, locals);
+        known, cluster_of.data(), scans, clusters, locals);
     const auto candidates = locals + known.count + scans;
     std::int64_t dropped = 0;
     check_table(pmbm::branched(view(scene.table), known, missed.data(), locals, fresh.data(), scans,
