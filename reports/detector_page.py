@@ -100,7 +100,10 @@ def _realism(realism: Realism) -> dict[str, Any]:
         "real": f"{np.mean(realism.real):.3f}",
         "model": f"{np.mean(realism.model):.3f}",
         "halves": len(realism.real),
-        "betraying": [(name, f"{auc:.3f}") for name, auc in realism.same_truth.betraying],
+        "betraying": [
+            (name, f"{alone:.3f}", f"{lost:.3f}")
+            for name, alone, lost in realism.same_truth.betraying
+        ],
     }
 
 

@@ -33,11 +33,12 @@ class TwoSample:
     """The outcome of a two-sample test.
 
     auc : area under the curve on held-out recordings; 0.5 is indistinguishable.
-    betraying : features by falling importance, each with the AUC that it has alone (held out).
+    betraying : features by falling importance, each with the AUC that it has alone, and what the
+        AUC of all loses without it: what betrays the model only beside other features shows there.
     """
 
     auc: float
-    betraying: tuple[tuple[str, float], ...]
+    betraying: tuple[tuple[str, float, float], ...]
 
 
 def features(recording: Recording) -> tuple[FloatArray, IntArray]:
@@ -80,20 +81,22 @@ def two_sample(real: Sequence[Recording], other: Sequence[Recording]) -> TwoSamp
     its model in the same place are held out together.
     """
     raw, label, kind, fold = _tables(real, other)
-    alone = [
-        (name, _held_out_auc(_expanded(raw[:, [index]], label), kind, fold))
+    auc = _held_out_auc(raw, label, kind, fold)
+    betraying = [
+        (
+            name,
+            _held_out_auc(raw[:, [index]], label, kind, fold),
+            auc - _held_out_auc(np.delete(raw, index, axis=1), label, kind, fold),
+        )
         for index, name in enumerate(FEATURES)
     ]
-    return TwoSample(
-        auc=_held_out_auc(_expanded(raw, label), kind, fold),
-        betraying=tuple(sorted(alone, key=lambda pair: -pair[1])),
-    )
+    return TwoSample(auc, tuple(sorted(betraying, key=lambda row: -row[2])))
 
 
 def area(real: Sequence[Recording], other: Sequence[Recording]) -> float:
     """The area under the curve of `two_sample` alone."""
     raw, label, kind, fold = _tables(real, other)
-    return _held_out_auc(_expanded(raw, label), kind, fold)
+    return _held_out_auc(raw, label, kind, fold)
 
 
 def _tables(
@@ -113,36 +116,40 @@ def _count(recording: Recording) -> int:
     return sum(len(detections) for detections in recording.detections)
 
 
-def _expanded(raw: FloatArray, label: IntArray) -> FloatArray:
-    """Features with their squares and products, of each label apart."""
-    columns = []
-    for value in np.unique(label):
-        rows = label == value
-        centred = raw[rows] - raw[rows].mean(axis=0)
-        scaled = np.clip(centred / np.maximum(raw[rows].std(axis=0), 1e-9), -4.0, 4.0)
-        first, second = np.triu_indices(raw.shape[1])
-        products = scaled[:, first] * scaled[:, second]
-        block = np.concatenate([np.ones((len(scaled), 1)), scaled, products], axis=1)
-        table = np.zeros((len(raw), block.shape[1]))
-        table[rows] = block
-        columns.append(table)
-    return np.concatenate(columns, axis=1)
+def _expanded(raw: FloatArray) -> FloatArray:
+    """Features with their squares and products."""
+    scaled = (raw - raw.mean(axis=0)) / np.maximum(raw.std(axis=0), 1e-9)
+    scaled = np.clip(scaled, -4.0, 4.0)
+    first, second = np.triu_indices(raw.shape[1])
+    products = scaled[:, first] * scaled[:, second]
+    return np.concatenate([np.ones((len(scaled), 1)), scaled, products], axis=1)
 
 
-def _held_out_auc(columns: FloatArray, kind: IntArray, fold: IntArray) -> float:
-    """Mean over folds of the area under the curve on what was not trained on."""
+def _held_out_auc(raw: FloatArray, label: IntArray, kind: IntArray, fold: IntArray) -> float:
+    """Mean over folds of the area under the curve on what was not trained on.
+
+    One classifier a label: that is what one for all labels comes to whose columns are each label's
+    own.
+    """
+    parts = [(rows, _expanded(raw[rows])) for rows in (label == v for v in np.unique(label))]
     areas = []
     for held_out in np.unique(fold):
         test = fold == held_out
-        weight = _logistic_regression(columns[~test], kind[~test])
-        areas.append(_area_under_curve(columns[test] @ weight, kind[test]))
+        share = np.bincount(kind[~test], minlength=2) / np.count_nonzero(~test)
+        importance = 0.5 / np.maximum(share, 1e-9)[kind]
+        score = np.zeros(len(raw))
+        for rows, columns in parts:
+            train = ~test[rows]
+            weight = _logistic_regression(
+                columns[train], kind[rows][train], importance[rows][train]
+            )
+            score[rows] = columns @ weight
+        areas.append(_area_under_curve(score[test], kind[test]))
     return float(np.mean(areas))
 
 
-def _logistic_regression(columns: FloatArray, kind: IntArray) -> FloatArray:
-    """Weights (C,) of ridge-penalised logistic regression, both kinds weighing alike."""
-    share = np.bincount(kind, minlength=2) / len(kind)
-    importance = 0.5 / np.maximum(share, 1e-9)[kind]
+def _logistic_regression(columns: FloatArray, kind: IntArray, importance: FloatArray) -> FloatArray:
+    """Weights (C,) of ridge-penalised logistic regression."""
     sign = 2.0 * kind - 1.0
 
     def loss(weight: FloatArray) -> tuple[float, FloatArray]:

@@ -169,8 +169,10 @@ def _realism(recordings: Sequence[Recording], model: DetectorModel) -> Realism:
         f"against modelled others {np.mean(outcome.model):.3f}, against the model of the same "
         f"recordings {outcome.same_truth.auc:.3f}"
     )
-    names = ", ".join(f"{name} {auc:.3f}" for name, auc in outcome.same_truth.betraying[:5])
-    click.echo(f"betraying features (area with each alone): {names}")
+    names = ", ".join(
+        f"{name} {lost:.3f} ({alone:.3f})" for name, alone, lost in outcome.same_truth.betraying[:5]
+    )
+    click.echo(f"betraying features (area lost without each; that of each alone): {names}")
     return outcome
 
 

@@ -222,7 +222,7 @@ def test_the_two_sample_test_tells_a_wrong_model_and_names_what_betrays_it(recor
     wrong = two_sample(half, modelled(wide, half, 50))
     assert wrong.auc > 0.75
     assert wrong.betraying[0][0] == "width"
-    assert {name for name, _ in wrong.betraying} == set(FEATURES)
+    assert {name for name, _, _ in wrong.betraying} == set(FEATURES)
 
 
 def test_origins_must_be_known(recordings):
