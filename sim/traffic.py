@@ -6,7 +6,6 @@ ego carries the sensor: it drives as an IDM car, and is no object of the scene.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -19,14 +18,14 @@ from pmbm.types import FloatArray
 from sim import highway
 from sim.actors import as_car, label_of, vehicle_class
 from sim.fast_road import adopt
-from sim.highway import AbstractLane, CircularLane, StraightLane, Vehicle
+from sim.highway import AbstractLane, StraightLane, Vehicle
+from sim.roads import LaneIndex, Network, lay
 from sim.schema import Actor, Driver, GymnasiumScene, NetworkEntry, RoadEntry, RoadScene
 from sim.schema import Road as RoadForm
 from sim.scripted import own_stream
 from sim.streams import Purpose, Streams
 from sim.trajectory import GROUP, REACH_MARGIN, Trajectory
 
-LaneIndex = tuple[str, str, int]
 Hook = Callable[[int], None]
 _Form = TypeVar("_Form")
 
@@ -225,27 +224,9 @@ def _checked_lane(name: str, entry: NetworkEntry, network: Any, env_id: str) -> 
 # --- our own roads -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Network:
-    """Roads by name, each a chain of lane segments that a vehicle follows."""
-
-    network: Any
-    segments: dict[str, list[tuple[str, str]]]
-
-    def at(self, road: str, lane: int, position: float) -> tuple[LaneIndex, float]:
-        """The lane, and the distance along it, `position` metres along a road."""
-        for start, end in self.segments[road]:
-            index = (start, end, lane)
-            length = float(self.network.get_lane(index).length)
-            if position < length or (start, end) == self.segments[road][-1]:
-                return index, position
-            position -= length
-        raise AssertionError("a road has a segment")
-
-
 def open_roads(form: RoadScene, rate: int, streams: Streams) -> Traffic:
     """Our own roads and actors, ready to drive."""
-    roads = _lay(form.roads)
+    roads = lay(form.roads)
     road = highway.Road(
         network=roads.network,
         np_random=streams.generator(Purpose.TRAFFIC),
@@ -266,68 +247,6 @@ def open_roads(form: RoadScene, rate: int, streams: Streams) -> Traffic:
         index, _ = roads.at(entry.road, entry.lane, entry.position)
         traffic.hooks.append(_arrivals(number * GROUP, name, entry, index, traffic, streams))
     return traffic
-
-
-def _lay(forms: dict[str, RoadForm]) -> _Network:
-    """The road network in highway-env's frame."""
-    network = highway.RoadNetwork()
-    segments = {}
-    for name, form in forms.items():
-        if form.leads_to is not None and form.leads_to not in forms:
-            raise InputError(
-                f"road '{name}' leads to no road",
-                field=f"scene.roads.{name}.leads_to",
-                got=form.leads_to,
-                hint=nearest_hint(form.leads_to, forms, "road"),
-            )
-        straight = form.start is not None and form.end is not None
-        arc = None not in (form.centre, form.radius, form.from_deg, form.to_deg)
-        if straight == arc or (straight and form.start == form.end):
-            raise InputError(
-                f"road '{name}' is neither straight nor an arc",
-                field=f"scene.roads.{name}",
-                expected="start and end, or centre, radius, from_deg and to_deg",
-            )
-        end_node = f"{name}.end" if form.leads_to is None else f"{form.leads_to}.0"
-        pieces = 1
-        if arc:
-            assert form.from_deg is not None
-            assert form.to_deg is not None
-            # Local coordinates on an arc wrap at half a turn, so no piece may come near it.
-            pieces = max(1, int(np.ceil(abs(form.to_deg - form.from_deg) / 90.0)))
-        nodes = [f"{name}.{i}" for i in range(pieces)] + [end_node]
-        segments[name] = list(itertools.pairwise(nodes))
-        for piece, (start, end) in enumerate(segments[name]):
-            for lane in range(form.lanes):
-                network.add_lane(start, end, _lane(form, lane, piece, pieces))
-    return _Network(network, segments)
-
-
-def _lane(form: RoadForm, lane: int, piece: int, pieces: int) -> AbstractLane:
-    offset = lane * form.width
-    if form.start is not None:
-        start, end = np.array(form.start) * (1, -1), np.array(form.end) * (1, -1)
-        along = (end - start) / np.hypot(*(end - start))
-        aside = offset * np.array([-along[1], along[0]])
-        return StraightLane(
-            start + aside, end + aside, width=form.width, speed_limit=form.speed_limit
-        )
-    assert form.centre is not None
-    assert form.radius is not None
-    assert form.from_deg is not None
-    assert form.to_deg is not None
-    turn = form.to_deg - form.from_deg
-    first, last = (np.deg2rad(form.from_deg + turn * (piece + i) / pieces) for i in (0, 1))
-    left = turn > 0
-    return CircularLane(
-        np.array(form.centre) * (1, -1),
-        form.radius + (offset if left else -offset),
-        -first,
-        -last,
-        clockwise=not left,
-        width=form.width,
-        speed_limit=form.speed_limit,
-    )
 
 
 def _check_place(where: str, place: Driver | RoadEntry, roads: dict[str, RoadForm]) -> None:
@@ -352,7 +271,7 @@ def _check_place(where: str, place: Driver | RoadEntry, roads: dict[str, RoadFor
 
 
 def _place(
-    driver: Driver, roads: _Network, road: Any, luck: FloatArray, ahead: float = 0.0
+    driver: Driver, roads: Network, road: Any, luck: FloatArray, ahead: float = 0.0
 ) -> Vehicle:
     """A new vehicle on its lane, with its own draws `luck` (>= 2,) in [0, 1)."""
     sway = 2 * luck - 1
@@ -383,7 +302,7 @@ def _enter(
     name: str,
     actor: Actor,
     copy: int,
-    roads: _Network,
+    roads: Network,
     traffic: Traffic,
     streams: Streams,
 ) -> None:
