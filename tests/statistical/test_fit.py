@@ -15,7 +15,7 @@ from sim.detector import load_profile
 from sim.evidence import gather
 from sim.fit import fit_detector
 from sim.likeness import between_real, bootstrap, compare, figures, modelled
-from sim.realism import FEATURES, two_sample
+from sim.realism import FEATURES, area, two_sample
 from sim.replay import replay
 
 KNOWN = {
@@ -245,20 +245,24 @@ TUNING = ["0000", "0002", "0003", "0004", "0005", "0007", "0009", "0011", "0017"
 DATA = os.environ.get("PMBM_DATA")
 
 
-NOT_MET = {"noise length pedestrian 20-40 m"}
-"""198 boxes of few people: the model finds the long ones that the detector misses."""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not DATA, reason="PMBM_DATA is not set: no real detections")
-def test_pointrcnn_on_kitti_is_modelled_within_the_bars():
+def real_detections():
     from pmbm.datasets import with_origins
     from pmbm.datasets.kitti import Kitti
 
     root = Path(DATA) / "kitti"
     files = str(root / "detections/pointrcnn_{class}")
     folder = Kitti(root=root, detections=files, poses=root / "pose")
-    real = [with_origins(folder.recording(name)) for name in TUNING]
+    return [with_origins(folder.recording(name)) for name in TUNING]
+
+
+NOT_MET = {"noise length pedestrian 20-40 m"}
+"""198 boxes of few people: the model finds the long ones that the detector misses."""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA, reason="PMBM_DATA is not set: no real detections")
+def test_pointrcnn_on_kitti_is_modelled_within_the_bars(verified):
+    real = real_detections()
     model = fit_detector(real)
     made = [
         figures(recording, model)
@@ -270,5 +274,38 @@ def test_pointrcnn_on_kitti_is_modelled_within_the_bars():
     compared = [row for row in rows if row.name.split()[0] in bars and "m" in row.name.split()]
     compared += [row for row in rows if row.name.startswith("clutter")]
     outside = {row.name for row in compared if abs(row.difference) > bars[row.name.split()[0]]}
+    verified(
+        "fit_kitti_bars",
+        f"figures, of {len(compared)}, of the fitted KITTI sequences that the model misses by more "
+        f"than 3 points (recall), 15 % (noise) or 10 % (clutter): {', '.join(sorted(outside))}",
+        len(outside),
+        0,
+        not outside,
+    )
     assert len(compared) > 50
     assert outside <= NOT_MET
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA, reason="PMBM_DATA is not set: no real detections")
+def test_a_classifier_tells_modelled_kitti_little_better_than_other_real_sequences(verified):
+    real = real_detections()
+    made = modelled(fit_detector(real), real, 7)
+    rng = np.random.default_rng(7)
+    halves = [np.array_split(rng.permutation(len(real)), 2) for _ in range(4)]
+
+    def mean_area(others):
+        return np.mean(
+            [area([real[i] for i in one], [others[i] for i in two]) for one, two in halves]
+        )
+
+    beyond = mean_area(made) - mean_area(real)
+    verified(
+        "fit_kitti_realism",
+        "area under the curve of a classifier between real and modelled other sequences, less that "
+        "between real and real other sequences (4 random halves of 9)",
+        round(float(beyond), 3),
+        0.05,
+        bool(beyond <= 0.05),
+    )
+    assert beyond <= 0.05
