@@ -4,6 +4,7 @@ fifth, gating, is part of the association)."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import ModuleType
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
 def _fewer(density: Density, limits: Limits) -> tuple[Density, Mixture, Reduced]:
     """The detected objects with fewer hypotheses, and what is moved back into the PPP."""
     if compiled.native is not None:
-        return _fewer_compiled(density, limits)
+        return _fewer_compiled(compiled.native, density, limits)
     table = density.hypotheses
     cap = np.full(table.clusters, limits.max_hypotheses)
     if limits.clustering:
@@ -109,10 +110,12 @@ def _fewer(density: Density, limits: Limits) -> tuple[Density, Mixture, Reduced]
     return _compact(density), returned, Reduced(pruned, over, merged, recycled, tracks_capped)
 
 
-def _fewer_compiled(density: Density, limits: Limits) -> tuple[Density, Mixture, Reduced]:
+def _fewer_compiled(
+    native: ModuleType, density: Density, limits: Limits
+) -> tuple[Density, Mixture, Reduced]:
     """`_fewer` in one call."""
     local = density.local
-    columns, rows, track, tracks, recycled, probability, removed = compiled.native.reduced(
+    columns, rows, track, tracks, recycled, probability, removed = native.reduced(
         *density.hypotheses.columns(),
         local.existence,
         local.track,

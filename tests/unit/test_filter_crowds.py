@@ -85,7 +85,7 @@ def test_a_day_long_run_stays_as_small_and_as_fast_as_it_was(verified):
     grown = megabytes[-1] - megabytes[1]
     verified(
         "soak",
-        f"{SOAK_FRAMES} frames with births and deaths: peak memory gained after the first fifth, MB",
+        f"{SOAK_FRAMES} frames with births and deaths: peak memory gained after a fifth, MB",
         round(grown, 2),
         10,
         grown < 10,
