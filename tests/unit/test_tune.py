@@ -347,7 +347,7 @@ def test_a_dataset_is_tuned_by_its_own_rule(folder, tmp_path, capsys, mode):
     dataset = open_dataset("kitti", root=folder, classes=("Car",))
     tracker = class_trackers(dataset, "pmbm", out)[Label.CAR](Site())
     # What ships for this dataset and class is what there is to beat, and stays where not tuned.
-    assert tracker.config.kinds is not None
+    assert tracker.config.levels is not None
     found = refusal(capsys, *given, "--class", "Car", "--metric", "HOTTA")
     assert "did you mean 'HOTA'" in found
     assert "neither more nor less" in refusal(capsys, *given, "--class", "Car", "--metric", "GT")
