@@ -85,45 +85,47 @@ def cell_masses(mixture: GaussianMixture, low: FloatArray, cell: float, n: int) 
     Every column of cells has exactly the mass that it should, shared out along y as it lies at the
     column's middle.
     """
-    total = np.zeros(n * n)
+    total = np.zeros((n + 1) ** 2)
     sd = np.sqrt(np.maximum(mixture.cov[:, [0, 1], [0, 1]], 1e-6))
-    half = np.minimum(np.ceil(_REACH * sd.max(axis=1, initial=0.0) / cell) + 1, n).astype(np.int64)
-    # Components of like width are taken together, each on its own patch of cells.
-    half = np.where(half > 8, 2 ** np.ceil(np.log2(half)).astype(np.int64), half)
+    half = np.ceil(_REACH * sd.max(axis=1, initial=0.0) / cell) + 1
+    # Components of like width are taken together, each on a patch of its own; broad ones on all cells.
+    half = np.where(half > 8, 2 ** np.ceil(np.log2(half)), half)
+    half = np.where(2 * half + 1 >= n, n, half).astype(np.int64)
     for reach in np.unique(half).tolist():
         rows = np.flatnonzero(half == reach)
         at_once = max(1, _AT_ONCE // (2 * reach + 1) ** 2)
         for begin in range(0, len(rows), at_once):
             part = mixture.take(rows[begin : begin + at_once])
-            index, mass = _patch(part, low, cell, int(reach))
-            inside = ((index >= 0) & (index < n)).all(axis=-1)
-            flat = (index[..., 1] * n + index[..., 0])[inside]
-            total += np.bincount(flat, mass[inside], minlength=n * n)
-    return total.reshape(n, n)
+            mean = (part.mean[:, :2] - low) / cell
+            if reach == n:
+                first = np.zeros((len(part), 2), np.int64)
+                width = n
+            else:
+                first = np.floor(mean).astype(np.int64) - reach
+                width = 2 * reach + 1
+            mass = _patch(part, mean, cell, first, width)
+            column, row = (first[:, k, None] + np.arange(width) for k in (0, 1))
+            index = np.where((column >= 0) & (column < n), column, n)[:, :, None]
+            index = index + (n + 1) * np.where((row >= 0) & (row < n), row, n)[:, None, :]
+            total += np.bincount(index.ravel(), mass.ravel(), minlength=len(total))
+    # The last row and column gather what lies outside.
+    return total.reshape(n + 1, n + 1)[:n, :n]
 
 
 def _patch(
-    mixture: GaussianMixture, low: FloatArray, cell: float, reach: int
-) -> tuple[IntArray, FloatArray]:
-    """Cells (P,k,k,2) around each component, as column and row, and its mass (P,k,k) in them."""
-    mean = (mixture.mean[:, :2] - low) / cell
+    mixture: GaussianMixture, mean: FloatArray, cell: float, first: IntArray, width: int
+) -> FloatArray:
+    """Mass (P,width,width), by column and row, of components in the cells from `first` (P,2) on;
+    `mean` (P,2) is in cells."""
     cov = mixture.cov[:, :2, :2] / cell**2
-    step = np.arange(-reach, reach + 1)
-    middle = np.floor(mean).astype(np.int64)
-    column, row = middle[:, :1] + step, middle[:, 1:] + step
-    sx = np.sqrt(np.maximum(cov[:, 0, 0], 1e-6))[:, None]
-    slope = (cov[:, 0, 1] / np.maximum(cov[:, 0, 0], 1e-6))[:, None]
+    variance = np.maximum(cov[:, 0, 0], 1e-6)
+    slope = (cov[:, 0, 1] / variance)[:, None]
     rest = np.maximum(cov[:, 1, 1] - slope[:, 0] * cov[:, 0, 1], 1e-6)
-    sy = np.sqrt(rest)[:, None, None]
+    column, row = (first[:, k, None] + np.arange(width + 1) for k in (0, 1))
     mx, my = mean[:, :1], mean[:, 1:]
-    given = my + slope * (column + 0.5 - mx)
-    columns = np.diff(ndtr((_edges(column) - mx) / sx), axis=1)
-    shares = np.diff(ndtr((_edges(row)[:, None, :] - given[:, :, None]) / sy), axis=2)
-    mass = np.exp(mixture.log_weight)[:, None, None] * columns[:, :, None] * shares
-    index = np.stack(np.broadcast_arrays(column[:, :, None], row[:, None, :]), axis=-1)
-    return index, mass
-
-
-def _edges(cells: IntArray) -> IntArray:
-    """Both sides of consecutive cells (P,k), as (P,k+1)."""
-    return np.concatenate([cells, cells[:, -1:] + 1], axis=1)
+    columns = np.diff(ndtr((column - mx) / np.sqrt(variance)[:, None]), axis=1)
+    given = my + slope * (column[:, :-1] + 0.5 - mx)
+    rows = ndtr((row[:, None, :] - given[:, :, None]) / np.sqrt(rest)[:, None, None])
+    weight = np.exp(mixture.log_weight)[:, None, None]
+    mass: FloatArray = weight * columns[:, :, None] * np.diff(rows, axis=2)
+    return mass
