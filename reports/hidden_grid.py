@@ -88,7 +88,7 @@ def cell_masses(mixture: GaussianMixture, low: FloatArray, cell: float, n: int) 
     total = np.zeros((n + 1) ** 2)
     sd = np.sqrt(np.maximum(mixture.cov[:, [0, 1], [0, 1]], 1e-6))
     half = np.ceil(_REACH * sd.max(axis=1, initial=0.0) / cell) + 1
-    # Components of like width are taken together, each on a patch of its own; broad ones on all cells.
+    # Components of like width are taken together, each on a patch of its own; broad ones on all.
     half = np.where(half > 8, 2 ** np.ceil(np.log2(half)), half)
     half = np.where(2 * half + 1 >= n, n, half).astype(np.int64)
     for reach in np.unique(half).tolist():
