@@ -142,16 +142,19 @@ def test_the_preset_is_what_its_command_fits(tmp_path):
         assert again[name] == pytest.approx(value, rel=2e-3, abs=2e-4), name
 
 
+@pytest.mark.parametrize(
+    ("option", "values"), [("occlusion", (False, True)), ("newest_box", (1.0, 0.35))]
+)
 @pytest.mark.parametrize("sequences", [TUNING, REPORTING], ids=["tuning", "reporting"])
-def test_what_occlusion_changes(sequences, tmp_path, capsys):
-    """Whether the other tracks of a class hide its objects, everything else as shipped: printed,
-    whichever way it goes."""
+def test_what_an_option_changes(sequences, option, values, tmp_path, capsys):
+    """Whether the other tracks of a class hide its objects, and whether boxes are filtered,
+    everything else as shipped: printed, whichever way it goes."""
     tables = {}
-    for hides in (False, True):
-        config = tmp_path / f"{hides}.toml"
-        changed = {kind: {**own, "occlusion": hides} for kind, own in parameters().items()}
+    for value in values:
+        config = tmp_path / f"{value}.toml"
+        changed = {kind: {**own, option: value} for kind, own in parameters().items()}
         config.write_text(toml_text(changed), encoding="utf-8")
-        run = functools.partial(scores_of, "pmbm", "online", tmp_path / f"out{hides}", capsys)
-        tables[f"occlusion {'on' if hides else 'off'}"] = run(sequences, "--config", config)
+        run = functools.partial(scores_of, "pmbm", "online", tmp_path / f"out{value}", capsys)
+        tables[f"{option} {value}"] = run(sequences, "--config", config)
     with capsys.disabled():
         show(tables)
