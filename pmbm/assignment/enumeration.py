@@ -49,19 +49,16 @@ class Ways:
     @staticmethod
     def joined(parts: Sequence[Ways], levels: int) -> Ways:
         """The parts one after another, their `option` widened to `levels`."""
+        option = np.full((sum(len(part.cost) for part in parts), levels), -1)
+        first = 0
+        for part in parts:
+            ways, rows = part.option.shape
+            option[first : first + ways, :rows] = part.option
+            first += ways
         return Ways(
             np.concatenate([part.problem for part in parts]),
             np.concatenate([part.cost for part in parts]),
-            np.concatenate(
-                [
-                    np.pad(
-                        part.option,
-                        ((0, 0), (0, levels - part.option.shape[1])),
-                        constant_values=-1,
-                    )
-                    for part in parts
-                ]
-            ),
+            option,
         )
 
     def best(self, ks: NDArray[np.int64], margin: float) -> Ways:

@@ -17,6 +17,9 @@ from pmbm.assignment.enumeration import Problems, Ways, enumerate_ways
 _ENUMERATE_UP_TO = 256
 """Ways of one problem; above, the K best are found by assignment instead of listing them all."""
 
+_ROUNDING = 1e-9
+"""Slack of a bound, of the largest cost; what it lets through is only looked at in vain."""
+
 Matrix = NDArray[np.float64]
 
 
@@ -119,22 +122,28 @@ def murty(
 
     Taking the cheapest assignment out of its set leaves a set that falls into disjoint parts, one
     per row i: agree with it before i, differ from it in i.  Each part's cheapest member is again an
-    assignment problem, so the next best of all waits at the head of a queue of parts.
+    assignment problem, so the next best of all waits at the head of a queue of parts.  A part is
+    not looked into where the reduced costs already say that it lies beyond the margin.
 
     Source: K. G. Murty, An algorithm for ranking all the assignments in order of increasing cost,
     Operations Research 16(3), 1968.
     """
     rows = len(cost)
     queue: list[_Node] = []
-    _enqueue(queue, cost, (), frozenset())
+    if rows <= cost.shape[1]:
+        _enqueue(queue, cost, (), frozenset())
     best: list[_Node] = []
-    while queue and len(best) < k:
+    while queue and k > 0:
         node = heapq.heappop(queue)
         best.append(node)
         if node.cost > best[0].cost + margin:
             best.pop()
             break
-        for row in range(node.fixed, rows):
+        if len(best) == k:
+            break
+        if len(best) == 1:
+            reduced = _reduced(cost, list(node.columns))
+        for row in _within(margin, reduced, node):
             inherited = node.forbidden if row == node.fixed else frozenset()
             _enqueue(queue, cost, node.columns[:row], inherited | {node.columns[row]})
     # The sums of two assignments may differ by rounding where the partition takes them for equal.
@@ -143,26 +152,53 @@ def murty(
     return columns, np.array([node.cost for node in best], dtype=np.float64)
 
 
+def _reduced(cost: Matrix, columns: list[int]) -> Matrix:
+    """(R,C) by how much taking a pair makes an assignment dearer than the cheapest, `columns`, at
+    least: the costs less the dual prices of rows and columns, found by relaxation."""
+    rows = np.arange(len(cost))
+    slack = _ROUNDING * np.abs(cost[np.isfinite(cost)]).max(initial=0.0)
+    price = np.zeros(cost.shape[1])
+    row_price = cost[rows, columns]
+    for _ in rows:
+        lower = np.minimum(price, (cost - row_price[:, None]).min(axis=0))
+        if (lower >= price - slack).all():
+            break
+        price = lower
+        row_price = cost[rows, columns] - price[columns]
+    return cost - row_price[:, None] - price - slack
+
+
+def _within(margin: float, reduced: Matrix, node: _Node) -> list[int]:
+    """The rows in which a member of the node's set may differ from its cheapest, and first there,
+    and cost at most `margin` more than the cheapest assignment of all."""
+    first, rows = node.fixed, np.arange(len(reduced))
+    columns = list(node.columns)
+    taken = reduced[rows, columns]
+    other = reduced[first:].copy()
+    other[rows[first:] - first, columns[first:]] = np.inf
+    other[:1, list(node.forbidden)] = np.inf
+    least = (np.cumsum(taken) - taken)[first:] + other.min(axis=1, initial=np.inf)
+    return (first + np.flatnonzero(least <= margin)).tolist()
+
+
 def _enqueue(
     queue: list[_Node], cost: Matrix, prefix: tuple[int, ...], forbidden: frozenset[int]
 ) -> None:
     """Solve one part, and put it into the queue unless it is empty."""
-    fixed = len(prefix)
-    free = np.setdiff1d(np.arange(cost.shape[1]), prefix, assume_unique=True)
-    rest = cost[fixed:, free]
-    if rest.shape[0] > rest.shape[1]:
-        return
-    rest[:1, np.isin(free, list(forbidden))] = np.inf
+    # Columns taken are forbidden to the rows that are left; leaving them out would take longer.
+    rest = cost[len(prefix) :].copy()
+    rest[:, list(prefix)] = np.inf
+    rest[:1, list(forbidden)] = np.inf
     try:
         _, chosen = linear_sum_assignment(rest)
     except ValueError:
         # scipy's word for "no assignment without a forbidden pair".
         return
-    columns = (*prefix, *free[chosen].tolist())
-    heapq.heappush(queue, _Node(_total(cost, columns), columns, fixed, forbidden))
+    columns = [*prefix, *chosen.tolist()]
+    heapq.heappush(queue, _Node(_total(cost, columns), tuple(columns), len(prefix), forbidden))
 
 
-def _total(cost: Matrix, columns: tuple[int, ...]) -> float:
+def _total(cost: Matrix, columns: list[int]) -> float:
     """The cost of an assignment, added in the order of its rows."""
-    taken = cost[np.arange(len(columns)), np.array(columns, dtype=np.intp)]
-    return float(np.cumsum(taken)[-1]) if len(taken) else 0.0
+    taken = cost[np.arange(len(columns)), columns]
+    return float(taken.cumsum()[-1]) if len(taken) else 0.0
