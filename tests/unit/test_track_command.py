@@ -59,7 +59,10 @@ def fails(root, capsys, *options):
 
 
 def test_writes_a_file_a_sequence(folder, capsys):
-    files = track(folder, "--tracker", "argoverse", "--sequences", "0000", "0001")
+    config = folder / "config.toml"
+    config.write_text("min_hits = 5\n")
+    options = ("--tracker", "argoverse", "--config", config, "--sequences", "0000", "0001")
+    files = track(folder, *options)
     assert sorted(files) == ["0000.txt", "0001.txt"]
     assert capsys.readouterr().out.split() == [str(folder / "out" / name) for name in files]
     rows = [line.split() for line in files["0000.txt"].splitlines()]
