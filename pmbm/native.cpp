@@ -11,6 +11,7 @@
 #include "filter/branch.hpp"
 #include "filter/gate.hpp"
 #include "filter/merge.hpp"
+#include "filter/rays.hpp"
 #include "filter/reduce.hpp"
 #include "filter/tables.hpp"
 
@@ -221,6 +222,16 @@ Output<std::int64_t> merge_groups(Input<double> log_weight, Table<double> mean, 
     return hand_over(std::move(group));
 }
 
+// Returns the columns of `Rays`.
+nb::tuple box_rays(Table<double> offset, Table<double> box, Input<double> widen, double yaw,
+                   Input<double> cos, Input<double> sin) {
+    auto rays = pmbm::box_rays(offset.data(), box.data(), widen.data(), widen.size(), yaw,
+                               {cos.data(), sin.data(), static_cast<std::int64_t>(cos.size())});
+    return nb::make_tuple(hand_over(std::move(rays.first)), hand_over(std::move(rays.bearing)),
+                          hand_over(std::move(rays.distance)), hand_over(std::move(rays.margin)),
+                          hand_over(std::move(rays.cores)));
+}
+
 Output<std::int64_t> likeliest(Input<std::int64_t> track, Input<double> mass,
                                std::int64_t tracks) {
     return hand_over(pmbm::likeliest(track.data(), mass.data(), track.size(),
@@ -250,6 +261,7 @@ NB_MODULE(_native, m) {
     m.def("branched", &branched);
     m.def("reduced", &reduced);
     m.def("merge_groups", &merge_groups);
+    m.def("box_rays", &box_rays);
     m.def("likeliest", &likeliest);
     m.def("probability", &probability);
 }

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmbm import compiled
 from pmbm.filter.density import Index, ragged, starts
 from pmbm.geometry import to_local
 from pmbm.types import FloatArray
@@ -77,6 +78,9 @@ def box_rays(
         box it meets it at the distance of the centre.  A box around the sensor has no rays.
     """
     offset = to_local(centre, pose)
+    widen = np.zeros(len(box)) if widen is None else widen
+    if compiled.native is not None:
+        return Rays(*compiled.native.box_rays(offset, box, widen, pose[2], _COS, _SIN))
     turned = box[:, 4] - pose[2]
     cos, sin = np.cos(turned), np.sin(turned)
     half_length, half_width = 0.5 * box[:, 1], 0.5 * box[:, 2]
@@ -98,12 +102,11 @@ def box_rays(
     thin = end < begin
     if thin.any():
         begin[thin] = end[thin] = np.floor(middle[thin] / STEP).astype(np.intp)
+    margin = np.arctan2(widen, np.maximum(range_, 1e-9))
+    low, high = np.maximum(low - margin, -3.0), np.minimum(high + margin, 3.0)
     core_begin, core_end = begin, end
-    if widen is not None:
-        margin = np.arctan2(widen, np.maximum(range_, 1e-9))
-        low, high = np.maximum(low - margin, -3.0), np.minimum(high + margin, 3.0)
-        begin = np.minimum(begin, np.ceil((middle + low) / STEP - 0.5).astype(np.intp))
-        end = np.maximum(end, np.floor((middle + high) / STEP - 0.5).astype(np.intp))
+    begin = np.minimum(begin, np.ceil((middle + low) / STEP - 0.5).astype(np.intp))
+    end = np.maximum(end, np.floor((middle + high) / STEP - 0.5).astype(np.intp))
     around = (np.abs(x) <= half_length) & (np.abs(y) <= half_width)
     count = np.where(around, 0, end - begin + 1)
     bearing = ragged(begin, count)

@@ -16,6 +16,7 @@ from pmbm.filter.density import Density, Globals, Locals, Mixture, Origin, start
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
 from pmbm.filter.models import Sensor
+from pmbm.filter.rays import box_rays
 from pmbm.filter.reduction import Limits, _pruned, merge_mixture, reduce
 from pmbm.filter.resumption import ids_of_new
 from pmbm.filter.scan import Scan
@@ -289,3 +290,22 @@ def test_hypotheses_branch_alike(monkeypatch, cap, largest, search, ties, neglig
         apart = table.clusters + 9 - len(np.unique(measurement))
         joins += int(fast[0][-1]) + 1 < apart
     assert joins == 5 or ties < 30
+
+
+@pytest.mark.parametrize("widened", [False, True])
+def test_lines_of_sight_as_plain(monkeypatch, widened):
+    """Near and far boxes, a box around the sensor, one too thin to hold a bearing's centre."""
+    random = np.random.default_rng(5)
+    centre = np.concatenate([random.normal(0, 30, (400, 2)), [[0.5, 0.2], [900.0, 1.0]]])
+    box = np.concatenate([np.zeros((402, 1)), random.uniform(0.5, 12, (402, 4))], axis=1)
+    box[-2:, 1:3] = [[6.0, 6.0], [0.3, 0.3]]
+    widen = random.exponential(1.0, 402) if widened else None
+    pose = np.array([0.3, -0.2, 2.0])
+    fast, plain = on_both(monkeypatch, lambda: box_rays(pose, centre, box, widen))
+    count = np.diff(plain.first)
+    assert (count == 0).any()
+    assert (count == 1).any()
+    assert count.max() > 50
+    for name in ("first", "bearing", "margin", "cores"):
+        np.testing.assert_array_equal(getattr(fast, name), getattr(plain, name))
+    np.testing.assert_allclose(fast.distance, plain.distance, rtol=1e-9)
