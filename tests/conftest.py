@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from pmbm.provenance import provenance
+
 settings.register_profile("everyday", deadline=None, max_examples=50, derandomize=True)
 settings.register_profile("long", deadline=None, max_examples=1000)
 settings.load_profile("everyday")
@@ -30,6 +32,11 @@ def pytest_addoption(parser):
     parser.addoption(
         "--verification", metavar="FILE", help="Write the rows of the `verified` fixture as JSON."
     )
+    parser.addoption(
+        "--verification-part",
+        action="store_true",
+        help="This run is a part of the suite: keep the rows in FILE of tests that did not run.",
+    )
 
 
 @pytest.fixture
@@ -43,6 +50,7 @@ def verified(request):
         if isinstance(verdict, bool):
             verdict = "pass" if verdict else "fail"
         row = {"id": id, "what": what, "figure": figure, "bound": bound, "verdict": verdict}
+        row["test"] = request.node.nodeid
         request.node.user_properties.append(("verified", row))
         print(f"{id}: {what}: {figure} (bound {bound}): {verdict}")
 
@@ -67,23 +75,51 @@ def drawn(request, tmp_path):
 
 
 class _Verification:
-    """Gathers the rows, from worker processes too, and writes them in order of their ids."""
+    """Gathers the rows, from worker processes too, and writes them in order of their ids.
 
-    def __init__(self, file):
-        self.file = Path(file)
+    earlier : rows of earlier parts of the suite, of which those of a test that runs now go, and
+        those of a test that is no longer there.
+    """
+
+    def __init__(self, file, earlier=()):
+        self.file = file
+        self.earlier = list(earlier)
         self.rows = []
+        self.run = set()
 
     def pytest_runtest_logreport(self, report):
+        # A test that is skipped measures nothing: what it measured elsewhere stands.
+        if report.failed or (report.when == "call" and not report.skipped):
+            self.run.add(report.nodeid)
         if report.when == "teardown":
             self.rows += [row for name, row in report.user_properties if name == "verified"]
 
     def pytest_sessionfinish(self, session):
-        from pmbm.provenance import provenance
-
-        self.rows.sort(key=lambda row: (row["id"], row["what"]))
-        record = {"provenance": provenance(), "rows": self.rows}
+        there = [row for row in self.earlier if _stands(row["test"], session.config.rootpath)]
+        kept = [row for row in there if row["test"] not in self.run]
+        rows = sorted(kept + self.rows, key=lambda row: (row["id"], row["what"]))
+        record = {"provenance": provenance(), "rows": rows}
         self.file.parent.mkdir(parents=True, exist_ok=True)
         self.file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def _stands(nodeid, root):
+    file, _, function = nodeid.partition("::")
+    definition = f"def {function.partition('[')[0]}("
+    return (root / file).is_file() and definition in (root / file).read_text(encoding="utf-8")
+
+
+def _rows_of_earlier_parts(file):
+    """Raises UsageError where other versions measured them: one record speaks of one setting."""
+    if not file.is_file():
+        return []
+    record = json.loads(file.read_text(encoding="utf-8"))
+    if record["provenance"] != provenance():
+        raise pytest.UsageError(
+            f"{file} was measured with other versions, {record['provenance']['versions']}: "
+            "run the whole suite, without --verification-part"
+        )
+    return record["rows"]
 
 
 def pytest_configure(config):
@@ -92,4 +128,8 @@ def pytest_configure(config):
         os.environ.setdefault("PMBM_CACHE", str(config.cache.mkdir("scenes")))
     file = config.getoption("--verification")
     if file and not hasattr(config, "workerinput"):
-        config.pluginmanager.register(_Verification(file))
+        file = Path(file)
+        part = config.getoption("--verification-part")
+        config.pluginmanager.register(
+            _Verification(file, _rows_of_earlier_parts(file) if part else ())
+        )
