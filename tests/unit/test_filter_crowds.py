@@ -6,6 +6,7 @@ import gc
 import resource
 import sys
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -64,6 +65,27 @@ def coming_and_going(frames, random):
         yield frame(0.1 * k, np.concatenate([seen + random.normal(0, 0.3, seen.shape), clutter]))
 
 
+def tables(tracker):
+    density = tracker.density
+    return len(density.local) + len(density.undetected) + len(density.track_id)
+
+
+def test_a_run_leaves_nothing_behind():
+    """What is allocated after 1000 frames beside 400, where what a frame leaves would add up."""
+    tracker = PMBMTracker(PMBMConfig(), Site(max_range=60.0))
+    allocated = []
+    tracemalloc.start()
+    for k, detections in enumerate(coming_and_going(1000, np.random.default_rng(2)), 1):
+        tracker.step(detections)
+        if k in (400, 1000):
+            del detections
+            gc.collect()
+            allocated.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert allocated[-1] - allocated[0] < 40e3
+    assert tables(tracker) < 2000
+
+
 @pytest.mark.slow
 @needs_kernels
 def test_a_day_long_run_stays_as_small_and_as_fast_as_it_was(verified):
@@ -71,7 +93,7 @@ def test_a_day_long_run_stays_as_small_and_as_fast_as_it_was(verified):
     unit = 1 if sys.platform == "darwin" else 1024
     tracker = PMBMTracker(PMBMConfig(), Site(max_range=60.0))
     tenth = SOAK_FRAMES // 10
-    seconds, megabytes, tables = [], [], []
+    seconds, megabytes, sizes = [], [], []
     for k, detections in enumerate(coming_and_going(SOAK_FRAMES, np.random.default_rng(1))):
         begin = time.process_time()
         tracker.step(detections)
@@ -79,8 +101,7 @@ def test_a_day_long_run_stays_as_small_and_as_fast_as_it_was(verified):
         if (k + 1) % tenth == 0:
             gc.collect()
             megabytes.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6)
-            density = tracker.density
-            tables.append(len(density.local) + len(density.undetected) + len(density.track_id))
+            sizes.append(tables(tracker))
     slower = float(np.median(seconds[-tenth:]) / np.median(seconds[tenth : 2 * tenth]))
     grown = megabytes[-1] - megabytes[1]
     verified(
@@ -99,4 +120,4 @@ def test_a_day_long_run_stays_as_small_and_as_fast_as_it_was(verified):
     )
     assert grown < 10, megabytes
     assert slower < 1.3
-    assert max(tables[1:]) < 2000, tables
+    assert max(sizes[1:]) < 2000, sizes

@@ -3,7 +3,8 @@
 In test_filter_tracker.py: bad numbers and bad times refused, two looks at one moment, 1000 empty
 frames, copies of detections, objects in one place, extreme beliefs (P_D and scores of 0 and 1, no
 clutter), gaps, uneven frames, 10,000 detections in one frame, order, moved and turned worlds,
-causality, nothing random, copies in mid-run, long runs.
+causality, nothing random, copies in mid-run.  In test_filter_crowds.py: 10,000 detections on tracks
+that share their gates, long runs.
 """
 
 from __future__ import annotations

@@ -392,23 +392,3 @@ def test_a_track_out_of_view_is_kept_in_mind_and_not_reported():
     assert tracker.density.local.existence.max() > 0.9
     back = tracker.step(frame(1.0, pose=(10.0, 0.0, 0.0)))
     assert len(back) == 1
-
-
-@pytest.mark.slow
-def test_memory_and_time_stay_flat_over_a_long_run():
-    rng = np.random.default_rng(0)
-    tracker = PMBMTracker()
-    used = []
-    for k in range(100_000):
-        angle = 0.002 * k
-        seen = 20 * np.array([[math.cos(angle), math.sin(angle)], [-math.cos(angle), 3.0]])
-        z = np.concatenate([seen[rng.random(2) < 0.9], rng.uniform(-60, 60, (rng.poisson(1), 2))])
-        start = time.process_time()
-        tracker.step(frame(0.1 * k, z))
-        density = tracker.density
-        size = sum(len(part) for part in (density.local, density.hypotheses, density.undetected))
-        used.append((time.process_time() - start, size))
-    used = np.array(used)
-    early, late = used[1000:11_000], used[-10_000:]
-    assert np.median(late[:, 0]) < 1.3 * np.median(early[:, 0])
-    assert late[:, 1].max() <= 2 * early[:, 1].max()
