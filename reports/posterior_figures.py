@@ -26,8 +26,10 @@ def errors_figure(errors: Mapping[str, ArrayLike], bound: float) -> Figure:
             shown = np.log10(np.maximum(np.asarray(values, float), _SMALLEST))
             colour = colours[f"tracker-{i}"]
             axes.hist(shown, bins, histtype="step", color=colour, label=f"{what} ({len(shown)})")
-        axes.axvline(np.log10(bound), color=colours["error"], linewidth=1)
-        axes.set(yscale="log", xlabel="log10 of the relative error", ylabel="numbers")
+        axes.axvline(np.log10(bound), color=colours["error"], linewidth=1, label=f"bound {bound:g}")
+        axes.set(
+            yscale="log", xlabel="log10 of the relative error (none at all: -18)", ylabel="numbers"
+        )
 
     return _figure("Against the enumeration of everything that can have happened", draw)
 

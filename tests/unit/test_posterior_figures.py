@@ -27,7 +27,7 @@ def legend(axes):
 
 def test_errors_that_are_zero_are_shown_too(tmp_path):
     axes = axes_of(errors_figure({"weights": [0.0, 1e-14], "states": [1e-12]}, 1e-9), tmp_path)
-    assert legend(axes) == ["weights (2)", "states (1)"]
+    assert legend(axes) == ["weights (2)", "states (1)", "bound 1e-09"]
     assert axes.get_xlim()[0] <= -18
 
 

@@ -357,7 +357,8 @@ def test_a_dataset_is_tuned_by_its_own_rule(folder, tmp_path, capsys, mode):
 def test_tuned_parameters_beat_wrong_defaults_on_held_back_seeds():
     """The detector gives ten times the clutter that the default parameters assume; what is found on
     four recordings is significantly better on twenty others, by the paired interval."""
-    source = resolve("crossing", {"detector.clutter.rate": 20.0, "duration": 6.0})
+    rate = 10 * PMBMConfig().clutter_rate
+    source = resolve("crossing", {"detector.clutter.rate": rate, "duration": 6.0})
     default = ConfiguredTracker("pmbm")
     problem = Simulated.of([source], default, "gospa", 1, 4)
     space = {name: SPACES["pmbm"][name] for name in ("clutter_rate", "measurement_sd")}
