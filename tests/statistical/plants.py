@@ -314,6 +314,13 @@ FILTER_PLANTS = [
         by="tests/unit/test_filter_presets.py::test_a_first_detection_by_the_papers_rule[0.2]",
     ),
     _filter(
+        "a certain score settles everything",
+        "tracker",
+        "np.clip(self._score_model.evidence(given), 1e-3, 1 - 1e-3)",
+        "np.round(self._score_model.evidence(given), 3)",
+        by="tests/unit/test_filter_promises.py::test_certain_scores_under_certain_beliefs[usual-everywhere]",
+    ),
+    _filter(
         "state changed before time is checked",
         "tracker",
         "            dt = self._elapsed(detections.time)\n",

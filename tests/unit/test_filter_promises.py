@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from test_filter_tracker import drive, equal, frame
 
-from pmbm.filter import PMBMConfig, PMBMTracker
+from pmbm.filter import Kinds, PMBMConfig, PMBMTracker, Visibility
+from pmbm.score import ScoreModel
 from pmbm.types import Site
 
 
@@ -60,6 +61,43 @@ def test_likelihoods_of_1e_minus_400(gate, clutter):
         tracker.step(frame(2.1 + 0.1 * k, [[5.0, 0.0], [1e5, 0.0]]))
         density = wellformed(tracker)
     assert density.local.existence.max() > 0.99
+
+
+SCORES = ScoreModel(knot=[0.0, 1.0], log_odds=[-8.0, 8.0], base_rate=0.5)
+WHERE_SCORES_COUNT = {
+    "paper": PMBMConfig.paper,
+    "rising": lambda **known: PMBMConfig.paper(detection_from_scores="rising", **known),
+    "everywhere": lambda **known: PMBMConfig(scores="everywhere", **known),
+    "kinds": lambda **known: PMBMConfig(kinds=Kinds.simple(ghosts=0.3, score=SCORES), **known),
+    "never unseen": lambda **known: PMBMConfig(
+        visibility=Visibility(unseen=0.0, stay_seen=0.9, stay_unseen=0.9), **known
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WHERE_SCORES_COUNT)
+@pytest.mark.parametrize(
+    "known",
+    [
+        {},
+        {"detection_probability": 0.0},
+        {"detection_probability": 1.0},
+        {"clutter_rate": 0.0},
+        {"clutter_rate": 0.0, "detection_probability": 1.0},
+    ],
+    ids=lambda known: ", ".join(f"{what} {value:g}" for what, value in known.items()) or "usual",
+)
+def test_certain_scores_under_certain_beliefs(name, known):
+    """Scores of exactly 0 and 1, alone and in turn, through frames, misses and a gap of 10 s."""
+    for scores in ([0.0], [1.0], [0.0, 1.0]):
+        tracker = PMBMTracker(WHERE_SCORES_COUNT[name](**known))
+        for k, one in enumerate(drive(3, frames=14, objects=3, clutter=1.0)):
+            z = one.position[:, :2] if k % 5 else np.zeros((0, 2))
+            when = one.time if k < 10 else one.time + 10.0
+            tracks = tracker.step(frame(when, z, score=np.resize(scores, len(z))))
+            wellformed(tracker)
+            for values in (tracks.position, tracks.covariance, tracks.score):
+                assert np.isfinite(values).all()
 
 
 def test_covariances_that_are_nearly_singular():
