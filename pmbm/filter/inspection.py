@@ -94,7 +94,7 @@ class Inspection:
         for row in rows[np.argsort(-self.probability[rows], kind="stable")].tolist():
             x, y, vx, vy = self.mean[row]
             line = (
-                f"at ({x:.1f}, {y:.1f}) m, moving ({vx:.1f}, {vy:.1f}) m/s, exists with "
+                f"at ({x:z.1f}, {y:z.1f}) m, moving ({vx:z.1f}, {vy:z.1f}) m/s, exists with "
                 f"{self.hypothesis_existence[row]:.3f}{_told(self.history[row])}"
             )
             told[line] = told.get(line, 0.0) + self.probability[row]

@@ -125,7 +125,7 @@ def _birth(rivals: Sequence[tuple[int, float]], frame: Detections) -> str:
     x, y = frame.position[taken, :2]
     return (
         f"born from {_words(taken, frame)}, a {label} of score {frame.score[taken]:.2f} "
-        f"at ({x:.1f}, {y:.1f}) m"
+        f"at ({x:z.1f}, {y:z.1f}) m"
     )
 
 

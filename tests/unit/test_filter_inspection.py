@@ -57,10 +57,11 @@ def test_pairs_outside_the_gate_are_counted():
 def test_a_story_in_plain_words():
     tracker = PMBMTracker(PMBMConfig(history=3))
     for k in range(4):
-        tracker.step(frame(0.1 * k, [[5.0 + k, 0]] if k != 2 else []))
+        tracker.step(frame(0.1 * k, [[5.0 + k, -0.01]] if k != 2 else []))
     story = tracker.inspect().story(0)
     assert "Track 0 at t = 0.3 s exists with probability" in story
     assert "took 0, missed, took 0" in story
+    assert ", 0.0) m" in story
     assert "not in the tracker's mind" in tracker.inspect().story(99)
 
 
