@@ -32,7 +32,7 @@ $(STAMP): pyproject.toml Makefile $(NATIVE)
 	fi; \
 	[ -x $(BIN)/python ] || $$python -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[test,lint,tune,waymo,argoverse2]'
+	$(BIN)/python -m pip install --quiet --editable '.[test,lint,tune,waymo,argoverse2,dask]'
 	@touch $@
 
 demo: $(STAMP)
