@@ -3,6 +3,7 @@
 Usage: study_driver.py STORE JOBS TRIALS FOLDER...  (folders to import from)
 """
 
+import signal
 import sys
 from pathlib import Path
 
@@ -21,6 +22,8 @@ def slow_study(trials):
 
 
 if __name__ == "__main__":
+    # A test run that a shell put in the background ignores the signal, and its children with it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # Sources may be edited while the tests run; whose code it is is tested elsewhere.
     study_module.code_version = lambda modules: {}
     try:
