@@ -257,7 +257,7 @@ def test_s3_existence_of_tracks(own_worlds, verified, drawn):
 )
 def test_s2_and_s3_notice_a_wrong_belief(wrong):
     world = World()
-    outcomes = runs(world, replace(world, **wrong), count=500, salt=1)
+    outcomes = runs(world, replace(world, **wrong), salt=1)
     rng = np.random.default_rng(1)
     gap = worst_gap([transform(run, rng) for run, _ in outcomes])
     z = reliability(outcomes).z
