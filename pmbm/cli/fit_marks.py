@@ -148,6 +148,9 @@ def _table(levels: Levels) -> dict[str, Any]:
         "label": levels.label,
         "scatter": _short(levels.scatter),
         **shares,
+        **(
+            {} if levels.usual is None else {"usual": _short(levels.usual), "memory": levels.memory}
+        ),
         "calibration": {
             **{name: _shortened(getattr(calibration, name)) for name in _BY_LABEL},
             **{name: _short(getattr(calibration, name)) for name in ("near", "far", "apart")},

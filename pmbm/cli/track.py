@@ -134,15 +134,15 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
         early = dataclasses.replace(config, report_above=config.keep_above / 5, newest_box=1.0)
         own = tuple(seen_by(tracker, label, frame) for frame in recording.detections)
         alone = dataclasses.replace(recording, detections=own, origin=None)
-        found = run(PMBMTracker(early, recording.site), alone)
-        parts.append(smooth(found.steps, early))
+        found = run(PMBMTracker(early, recording.site), alone, record=True)
+        parts.append(smooth(found.steps, early, found.inspections))
     ids: dict[tuple[int, int], int] = {}
     steps = []
     for reports in zip(*parts, strict=True):
         names = [(part, i) for part, tracks in enumerate(reports) for i in tracks.id.tolist()]
         given = [ids.setdefault(name, len(ids)) for name in names]
         steps.append(joined_tracks(reports[0].time, reports, given))
-    return dataclasses.replace(found, steps=tuple(steps), seconds=None)
+    return dataclasses.replace(found, steps=tuple(steps), seconds=None, inspections=None)
 
 
 def preset(dataset: str, tracker: str) -> Path | None:

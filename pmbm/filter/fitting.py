@@ -16,7 +16,7 @@ from pmbm.errors import InputError
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import MISSED
 from pmbm.filter.estimation import marginals
-from pmbm.filter.marks import Levels
+from pmbm.filter.marks import Levels, Seen
 from pmbm.filter.tracker import PMBMTracker
 from pmbm.score import Calibration
 from pmbm.types import CLUTTER, BoolArray, FloatArray, IntArray, Label, Recording
@@ -27,6 +27,8 @@ _NEVER = -50.0
 _ROUNDS = 60
 _WORTH = 10
 """Detections up to which a source counts in proportion to them: a second's at 10 Hz."""
+_FEWEST = 1.0
+"""Seconds of looking, and of objects seen, that recordings are taken to hold at least."""
 _LASTING = 2
 """Detections from which a source is no chance clutter."""
 
@@ -157,17 +159,47 @@ def fit_marks(
     ]
     levels = {}
     for group in groups:
-        said: list[FloatArray] = []
-        true: list[bool] = []
-        for label in group:
-            for part, values in zip(found[label], log_odds, strict=True):
-                for one in range(int(part.source.max(initial=-1)) + 1):
-                    rows = np.flatnonzero(part.source == one)
-                    said.append(values[part.row[rows]])
-                    true.append(bool(part.object[rows[0]]))
-        fitted = fit_levels(said, np.array(true), group[0], calibration)
-        levels.update({Label(label): replace(fitted, label=int(label)) for label in group})
+        told = {label: _told(found[label], log_odds, recordings) for label in group}
+        fitted = fit_levels(
+            [one for each in told.values() for one in each.log_odds],
+            np.concatenate([each.object for each in told.values()]),
+            group[0],
+            calibration,
+            np.concatenate([each.abundance for each in told.values()]),
+        )
+        for label, each in told.items():
+            levels[Label(label)] = replace(fitted, label=int(label), usual=each.usual)
     return levels
+
+
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """S sources of a label: the log-odds (n,) of each one's detections, whether it is an object
+    (S,), and the abundance (S,) of others around it, in those that are `usual`."""
+
+    log_odds: Sequence[FloatArray]
+    object: BoolArray
+    abundance: FloatArray
+    usual: float
+
+
+def _told(
+    found: Sequence[Sources], log_odds: Sequence[FloatArray], recordings: Sequence[Recording]
+) -> _Told:
+    """What the detections of one label say, source by source."""
+    seconds = np.array([one.detections[-1].time - one.detections[0].time for one in recordings])
+    each = seconds / [len(one.detections) for one in recordings]
+    shown = each * [part.object.sum() for part in found]
+    usual = float(max(shown.sum(), _FEWEST) / max(seconds.sum(), _FEWEST))
+    said, real, abundance = [], [], []
+    for k, (part, values) in enumerate(zip(found, log_odds, strict=True)):
+        for one in range(int(part.source.max(initial=-1)) + 1):
+            rows = np.flatnonzero(part.source == one)
+            said.append(values[part.row[rows]])
+            real.append(bool(part.object[rows[0]]))
+            others = Seen(seconds[k], shown[k] - real[-1] * len(rows) * each[k])
+            abundance.append(others.abundance(usual, Levels.memory))
+    return _Told(said, np.array(real, bool), np.array(abundance), usual)
 
 
 def fit_log_odds(
@@ -185,9 +217,12 @@ def fit_levels(
     is_object: BoolArray,
     label: Label,
     calibration: Calibration,
+    abundance: FloatArray | None = None,
 ) -> Levels:
     """The levels of S sources, each with the log-odds (n,) of its detections, by
     expectation-maximisation.
+
+    abundance (S,) : of the objects around each source, in those that are usual.
 
     Scatter is that within the sources.  P(object | level) is a logistic curve.  Sources of a single
     detection that are no objects tell what clutter looks like.
@@ -210,15 +245,19 @@ def fit_levels(
     birth = np.full(_LEVELS, 1 / _LEVELS)
     design = np.column_stack([np.ones(_LEVELS), level])
     weight = np.array([0.0, 1.0])
+    around = np.zeros(len(count)) if abundance is None else np.log(abundance)
+    # Sources among equally many objects are one scene; rows of a scene and a level are counted.
+    scenes, scene = np.unique(around[lasts], return_inverse=True)
+    rows, shift = np.tile(design, (len(scenes), 1)), np.repeat(scenes, _LEVELS)
     for _ in range(_ROUNDS):
-        real = _logistic(design @ weight)
+        real = _logistic(design @ weight + around[lasts, None])
         said = np.where(y[lasts, None], real, 1 - real).clip(1e-12)
         each = _normalised(fit[lasts] + np.log(birth) + np.log(said))
         birth = _shares(each.sum(axis=0))
-        counted = each * worth[:, None]
-        weight = _logistic_fit(
-            design, (counted * y[lasts, None]).sum(axis=0), counted.sum(axis=0), weight
-        )
+        positive, total = np.zeros((2, len(scenes), _LEVELS))
+        np.add.at(total, scene, each * worth[:, None])
+        np.add.at(positive, scene, each * (worth * y[lasts])[:, None])
+        weight = _logistic_fit(rows, positive.ravel(), total.ravel(), weight, shift)
     clutter = np.full(_LEVELS, 1 / _LEVELS)
     alone = fit[~lasts & ~y]
     for _ in range(_ROUNDS if len(alone) else 0):
@@ -250,14 +289,19 @@ def _logistic(x: FloatArray) -> FloatArray:
 
 
 def _logistic_fit(
-    design: FloatArray, positive: FloatArray, total: FloatArray, start: FloatArray | None = None
+    design: FloatArray,
+    positive: FloatArray,
+    total: FloatArray,
+    start: FloatArray | None = None,
+    shift: FloatArray | float = 0.0,
 ) -> FloatArray:
-    """Weights of a logistic regression of shares `positive` / `total` of rows, by Newton's method,
-    held a little to flat slopes so that rows told apart perfectly have an answer."""
+    """Weights of a logistic regression of shares `positive` / `total` of rows, whose log-odds are
+    shifted by what is known, by Newton's method, held a little to flat slopes so that rows told
+    apart perfectly have an answer."""
     weight = np.zeros(design.shape[1]) if start is None else start
     ridge = 1e-2 * np.eye(design.shape[1])
     for _ in range(100):
-        q = _logistic(design @ weight)
+        q = _logistic(design @ weight + shift)
         curvature = design.T @ (design * (total * q * (1 - q))[:, None]) + ridge
         step = np.linalg.solve(curvature, design.T @ (positive - total * q) - ridge @ weight)
         weight = weight + np.clip(step, -2, 2)

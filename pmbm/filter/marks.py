@@ -129,6 +129,13 @@ class Levels:
     birth (L,) : share of new sources that have each level; adds up to one.
     object (L,) : P(object | level), in [0, 1].
     clutter (L,) : shares of levels in detections that come from no lasting source; adds up to one.
+    usual : objects in view at a time, on average where the levels were fitted, > 0; None, how many
+        a scene holds says nothing of its sources.
+    memory : s of looking that this average is worth against what a scene shows, > 0.
+
+    Poles come with the detector, objects with the scene: where many objects have been seen, an
+    uncertain source is more probably another.  The scene's number has a gamma distribution, learned
+    from the expected number of objects in view (`Seen`).
     """
 
     label: int
@@ -138,11 +145,16 @@ class Levels:
     birth: FloatArray
     object: FloatArray
     clutter: FloatArray
+    usual: float | None = None
+    memory: float = 30.0
 
     def __post_init__(self) -> None:
         door = Door(self, "levels")
         levels = np.size(self.level)
         door.number("scatter", above=0.0)
+        door.number("memory", above=0.0)
+        if self.usual is not None:
+            door.number("usual", above=0.0)
         door.floats("level", (max(levels, 1),))
         for name in ("birth", "object", "clutter"):
             door.unit_interval(name, levels)
@@ -157,12 +169,37 @@ class Levels:
         if self.label not in list(Label):
             raise InputError("levels", field="label", expected="a label", got=self.label)
 
+    def object_after(self, seen: Seen) -> FloatArray:
+        """(L,) P(object | level) in a scene of which so much has been seen."""
+        if self.usual is None:
+            return self.object
+        odds = seen.abundance(self.usual, self.memory)
+        return odds * self.object / (odds * self.object + 1 - self.object)
+
     def evidence(self, log_odds: FloatArray) -> FloatArray:
         """(M,L) p(log-odds | level) / p(log-odds | clutter) of detections (M,)."""
         apart = (log_odds[:, None] - self.level) / self.scatter
         nearest = np.abs(apart).min(axis=1, initial=np.inf, keepdims=True)
         height = np.exp(0.5 * (nearest**2 - apart**2))
         return height / np.maximum(height @ self.clutter, 1e-6)[:, None]
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What of a scene has been seen: s looked, and the expected number of objects in view summed
+    over that time, s."""
+
+    looked: float = 0.0
+    objects: float = 0.0
+
+    def after(self, dt: float, number: float) -> Seen:
+        """With `number` objects in view for `dt` more seconds."""
+        return Seen(self.looked + dt, self.objects + number * dt)
+
+    def abundance(self, usual: float, memory: float) -> float:
+        """The scene's expected number of objects in view, in those that are usual: the mean of its
+        gamma distribution."""
+        return (memory + self.objects / usual) / (memory + self.looked)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ import numpy as np
 from pmbm.errors import InputError
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.gaussian import symmetric
+from pmbm.filter.inspection import Inspection
 from pmbm.filter.models import constant_velocity
 from pmbm.geometry import wrap_angle
 from pmbm.types import BoolArray, FloatArray, IntArray, Label, Tracks
@@ -24,16 +25,23 @@ _POINTS_AHEAD = (Label.CAR, Label.TRUCK, Label.BUS, Label.MOTORCYCLIST, Label.CY
 """What moves where its box points."""
 _MOVING = 1.0
 """m/s from which a velocity tells front from back."""
+_OWN = 0.5
+"""Existence from which a track's detection is its own."""
 _AS_UPDATED = 1.05
 """Factor on the area of a position's covariance up to which it is that of a Kalman update."""
 
 
-def smooth(steps: Sequence[Tracks], config: PMBMConfig | None = None) -> tuple[Tracks, ...]:
+def smooth(
+    steps: Sequence[Tracks],
+    config: PMBMConfig | None = None,
+    inspections: Sequence[Inspection] | None = None,
+) -> tuple[Tracks, ...]:
     """The tracks of a whole run, each smoothed over its life: one `Tracks` per step, as given.
 
-    A track counts as a whole: it is kept where its existence, as of its last detection, with the
+    A track counts as a whole: it is kept where its score, as of its last detection, with the
     evidence of its whole life, exceeds the configuration's `keep_above`; it then lives from its
-    first report to its last detection, gaps of up to two seconds filled.  A tracker that reports
+    first report to its last detection, gaps of up to two seconds filled.  A detection that is
+    more probably another's counts as none.  A tracker that reports
     from a lower existence on (its own `report_above`) thus lets tracks begin before the step in
     which they became probable.  Positions and velocities are those of the Rauch-Tung-Striebel
     smoother (AIAA Journal 3(8), 1965); size is the mean of the detections' and label the most
@@ -44,10 +52,13 @@ def smooth(steps: Sequence[Tracks], config: PMBMConfig | None = None) -> tuple[T
     ----------
     steps : what the tracker reported, in order of time, with covariances; boxes as detected.
     config : of that tracker; its noise and `keep_above` count (default: `PMBMConfig()`).
+    inspections : what the tracker's `inspect()` gave at each step, which tells existence from being
+        no ghost; None, a track is taken to exist wherever it is reported.
 
     Raises
     ------
-    InputError : tracks without covariances, or times that run backwards.
+    InputError : tracks without covariances, times that run backwards, or inspections of other
+        steps.
     """
     config = config if config is not None else PMBMConfig()
     times = np.array([one.time for one in steps])
@@ -55,11 +66,12 @@ def smooth(steps: Sequence[Tracks], config: PMBMConfig | None = None) -> tuple[T
         raise InputError("steps out of order", field="time", got=times[1:][np.diff(times) < 0][0])
     if any(one.covariance is None for one in steps):
         raise InputError("smoothing needs the tracks' covariances", field="covariance")
+    existence = _existence(steps, inspections)
     lives = []
     for number, rows in sorted(_rows_of_tracks(steps).items()):
-        life, forward = _forward(_life(steps, number, rows, times), config)
-        if life.score[-1] > config.keep_above:
-            lives.append(_with_boxes(_backward(life, forward)))
+        found = _forward(_life(steps, existence, number, rows, times), config)
+        if found is not None and found[0].score[-1] > config.keep_above:
+            lives.append(_with_boxes(_backward(*found)))
     return tuple(_step(one, number, lives) for number, one in enumerate(steps))
 
 
@@ -69,7 +81,7 @@ class _Life:
 
     first : its first step.  time (n,).  reported, detected (n,) : whether it was in a step; where
     it was not reported, a row repeats the last report.  mean (n,4), cov (n,4,4), box (n,5) : z,
-    length, width, height, yaw.  score (n,), label.
+    length, width, height, yaw.  score (n,), existence (n,), label.
     """
 
     id: int
@@ -81,10 +93,11 @@ class _Life:
     cov: FloatArray
     box: FloatArray
     score: FloatArray
+    existence: FloatArray
     label: int
 
     def until(self, end: int) -> _Life:
-        cut = ("time", "reported", "detected", "mean", "cov", "box", "score")
+        cut = ("time", "reported", "detected", "mean", "cov", "box", "score", "existence")
         return replace(self, **{name: getattr(self, name)[:end] for name in cut})
 
     def present(self) -> BoolArray:
@@ -105,8 +118,33 @@ def _rows_of_tracks(steps: Sequence[Tracks]) -> dict[int, list[tuple[int, int]]]
     return rows
 
 
+def _existence(
+    steps: Sequence[Tracks], inspections: Sequence[Inspection] | None
+) -> Sequence[FloatArray]:
+    """(K,) of every step's tracks."""
+    if inspections is None:
+        return [np.ones(len(one)) for one in steps]
+    if [one.time for one in inspections] != [one.time for one in steps]:
+        raise InputError(
+            "inspections of other steps",
+            field="inspections",
+            expected=f"{len(steps)} of the same times",
+            got=len(inspections),
+        )
+    found = []
+    for tracks, inspection in zip(steps, inspections, strict=True):
+        order = np.argsort(inspection.track_id)
+        row = order[np.searchsorted(inspection.track_id, tracks.id, sorter=order)]
+        found.append(inspection.existence[row])
+    return found
+
+
 def _life(
-    steps: Sequence[Tracks], track: int, where: list[tuple[int, int]], times: FloatArray
+    steps: Sequence[Tracks],
+    existence: Sequence[FloatArray],
+    track: int,
+    where: list[tuple[int, int]],
+    times: FloatArray,
 ) -> _Life:
     numbers = np.array([number for number, _ in where])
     span = np.arange(numbers[0], numbers[-1] + 1)
@@ -128,6 +166,7 @@ def _life(
         cov[last],
         box[last],
         np.array([s.score[r] for s, r in picked])[last],
+        np.array([existence[number][row] for number, row in where])[last],
         int(np.bincount(labels).argmax()),
     )
 
@@ -141,15 +180,15 @@ class _Forward:
     cov: FloatArray
 
 
-def _forward(life: _Life, config: PMBMConfig) -> tuple[_Life, _Forward]:
-    """The life with its gaps predicted through, up to its last detection.
+def _forward(life: _Life, config: PMBMConfig) -> tuple[_Life, _Forward] | None:
+    """The life with its gaps predicted through, up to its last detection; None if it has none.
 
     A report that is less sure of the place than a measurement makes it is of a track that was
-    missed.
+    missed, or whose detection is rather another's, as it is where the track hardly exists.
     """
     information = np.eye(2) / config.measurement_sd**2
     n = len(life.mean)
-    mean, cov, detected = life.mean.copy(), life.cov.copy(), life.reported.copy()
+    mean, cov, detected = life.mean.copy(), life.cov.copy(), life.reported & (life.existence > _OWN)
     predicted_mean, predicted_cov = mean.copy(), cov.copy()
     F = np.empty((n, 4, 4))
     for k in range(1, n):
@@ -160,6 +199,8 @@ def _forward(life: _Life, config: PMBMConfig) -> tuple[_Life, _Forward]:
             mean[k], cov[k] = predicted_mean[k], predicted_cov[k]
         updated = np.linalg.inv(np.linalg.inv(predicted_cov[k, :2, :2]) + information)
         detected[k] &= np.linalg.det(cov[k, :2, :2]) <= _AS_UPDATED * np.linalg.det(updated)
+    if not detected.any():
+        return None
     whole = replace(life, mean=mean, cov=cov, detected=detected)
     return (
         whole.until(int(np.flatnonzero(detected)[-1]) + 1),

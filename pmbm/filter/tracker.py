@@ -15,7 +15,7 @@ from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
 from pmbm.filter.estimation import marginals
 from pmbm.filter.inspection import Inspection, inspect
-from pmbm.filter.marks import GHOST
+from pmbm.filter.marks import GHOST, Seen
 from pmbm.filter.models import (
     DetectionFromScores,
     Sensor,
@@ -33,7 +33,7 @@ from pmbm.filter.scan import Scan
 from pmbm.filter.unseen import FINE, MOST, NEGLIGIBLE, Ground, settle
 from pmbm.filter.update import update
 from pmbm.score import ScoreModel
-from pmbm.types import Detections, Site, Tracks, vouched
+from pmbm.types import Detections, FloatArray, Site, Tracks, vouched
 
 
 class PMBMTracker:
@@ -63,6 +63,7 @@ class PMBMTracker:
         self._score_model = self.config.score_model or ScoreModel.trusting()
         self._from_scores = _from_scores(self.config)
         self._marks = self.config.levels or self.config.kinds
+        self._seen = Seen()
         self.takes_all_labels = self.config.levels is not None
         """Whether `step` wants the detections of all labels though it follows those of one."""
 
@@ -94,6 +95,7 @@ class PMBMTracker:
         clock = _Clock()
         view = View.of(self.site, detections.sensor_pose)
         scan = self._scan(detections)
+        dt = 0.0
         if self.density is None:
             predicted = Density.initial(
                 self._first(view),
@@ -142,6 +144,7 @@ class PMBMTracker:
         )
         clock.read("reduce")
         self._seconds = clock.seconds
+        self._seen = self._seen.after(dt, self._in_view(self.density, view))
         return self._report(self.density, view)
 
     def inspect(self) -> Inspection:
@@ -159,7 +162,7 @@ class PMBMTracker:
             self.site.occluders,
             time=self._time,
             report_above=self.config.report_above,
-            object_share=None if self._marks is None else self._marks.object,
+            object_share=self._object_share(),
             reduced=self.reduced,
             seconds=self._seconds,
         )
@@ -276,11 +279,27 @@ class PMBMTracker:
         # Undetected objects are merged and dropped where they are settled.
         return replace(limits, prune_undetected=0.0, merge_undetected=0.0)
 
+    def _in_view(self, density: Density, view: View) -> float:
+        """The expected number of objects in view, where the scores' levels tell anything by it."""
+        levels = self.config.levels
+        if levels is None or levels.usual is None:
+            return 0.0
+        marginal = marginals(density, levels.object)
+        best = marginal.best
+        inside = view.share_inside(density.local.mean[best], density.local.cov[best])
+        return float(marginal.object @ inside)
+
+    def _object_share(self) -> FloatArray | None:
+        """P(object) of a source of each kind, in this scene; None without marks."""
+        levels = self.config.levels
+        if levels is not None:
+            return levels.object_after(self._seen)
+        return None if self._marks is None else self._marks.object
+
     def _report(self, density: Density, view: View) -> Tracks:
         """The tracks that probably exist and are probably in view.  One that has left the view is
         kept in mind, and reported again where it comes back."""
-        marks = self._marks
-        marginal = marginals(density, None if marks is None else marks.object)
+        marginal = marginals(density, self._object_share())
         reported = np.flatnonzero(marginal.object > self.config.report_above)
         best = marginal.best[reported]
         inside = view.share_inside(density.local.mean[best], density.local.cov[best]) > 0.5

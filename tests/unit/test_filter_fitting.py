@@ -9,6 +9,7 @@ from pmbm.errors import InputError
 from pmbm.filter import Levels, PMBMConfig, PMBMTracker, Visibility
 from pmbm.filter.fitting import fit_levels, fit_log_odds, fit_marks, sources
 from pmbm.filter.fitting_runs import fit_visibility, runs
+from pmbm.filter.marks import Seen
 from pmbm.score import Calibration
 from pmbm.types import CLUTTER, Detections, GroundTruth, Label, Recording, Site
 
@@ -121,6 +122,49 @@ def test_one_level_says_nothing_and_is_the_plain_filter():
         assert b.position == pytest.approx(a.position, rel=1e-12)
 
 
+def test_the_number_of_objects_of_a_scene_is_a_gamma_variable():
+    """Shape usual x memory, rate memory, both raised by what was seen: its mean, in usual ones."""
+    assert Seen().abundance(usual=0.4, memory=30.0) == 1.0
+    seen = Seen().after(2.0, 0.0).after(10.0, 3.0)
+    assert seen.abundance(0.4, 30.0) == pytest.approx((0.4 * 30 + 30) / (30 + 12) / 0.4)
+    crowd = Seen(looked=1e6, objects=8e6)
+    assert crowd.abundance(0.4, 30.0) == pytest.approx(20, rel=1e-3)
+
+
+def test_an_uncertain_source_is_rather_an_object_where_there_are_many():
+    """Five sure objects raise the odds of a sixth, at a level of even odds, with their number."""
+    marks = levels(usual=0.5, memory=3.0)
+    sure = [[10.0 * k, 10.0] for k in range(1, 6)]
+    score = {}
+    for name, others in (("alone", []), ("crowd", sure)):
+        tracker = PMBMTracker(PMBMConfig.textbook(levels=marks, report_above=0.0))
+        for k in range(40):
+            raw = np.r_[0.0, np.full(len(others), 3.0)]
+            tracks = tracker.step(frame(0.1 * k, [[5.0, -20.0], *others], raw))
+        score[name] = tracks.score[np.argmin(tracks.position[:, 1])]
+        count = tracker._seen.objects / tracker._seen.looked
+        assert count == pytest.approx(len(others) + 0.5, abs=0.3)
+        odds = tracker._seen.abundance(0.5, 3.0)
+        assert score[name] == pytest.approx(odds / (1 + odds), abs=0.05)
+    assert score["crowd"] > 0.8 > 0.55 > score["alone"]
+
+
+def test_levels_are_fitted_beside_the_number_of_objects_around():
+    """Crowded scenes have more objects of each level; the curve is that of a usual scene."""
+    rng = np.random.default_rng(7)
+    said, true, around = [], [], []
+    for _ in range(1500):
+        crowd = rng.choice([0.2, 5.0])
+        level = rng.choice([-3.0, 0.0, 3.0])
+        odds = crowd * np.exp(1.5 * level)
+        true.append(rng.random() < odds / (1 + odds))
+        said.append(rng.normal(level, 0.8, rng.integers(2, 40)))
+        around.append(crowd)
+    found = fit_levels(said, np.array(true), Label.CAR, PLAIN, np.array(around))
+    at = np.interp([-1.0, 0.0, 1.0], found.level, found.object)
+    assert at == pytest.approx(1 / (1 + np.exp(-1.5 * np.array([-1.0, 0.0, 1.0]))), abs=0.06)
+
+
 def test_rivals_share_the_odds_of_a_place():
     one, other = frame(0, [[10, 0]], 1.0, Label.PEDESTRIAN), frame(0, [[10.5, 0]], 2.0)
     far = frame(0, [[12, 0]], 3.0)
@@ -208,6 +252,7 @@ def test_marks_fitted_to_a_street_tell_its_cars_from_its_poles():
     made = [street(seed) for seed in range(3)]
     config = PMBMConfig.textbook(clutter_rate=1.0, measurement_sd=0.1)
     marks = fit_marks(made, [[Label.CAR]], {Label.CAR: config})[Label.CAR]
+    assert marks.usual == pytest.approx(4 * 0.9, rel=0.05)
     tracker = PMBMTracker(PMBMConfig.textbook(clutter_rate=1.0, measurement_sd=0.1, levels=marks))
     new = street(9)
     counts = [len(tracker.step(one)) for one in new.detections]
@@ -269,6 +314,8 @@ def test_what_cannot_be_fitted_is_refused_by_name():
         {"level": [1.0, 0.0, 2.0]},
         {"birth": [0.5, 0.1, 0.1]},
         {"label": 9},
+        {"usual": 0.0},
+        {"memory": 0.0},
     ):
         with pytest.raises(InputError, match=next(iter(bad))):
             levels(**bad)

@@ -128,6 +128,24 @@ def test_the_whole_life_decides():
     assert shown["car"] >= 15
 
 
+def test_a_detection_that_is_rather_anothers_does_not_decide():
+    """A track that ends beside another, whose detection was probably not its own, was an object
+    all the same; inspections tell that from a source that is no object."""
+    _, frames = drive(4)
+    config = PMBMConfig.textbook(clutter_rate=1e-6)
+    tracker = PMBMTracker(config)
+    steps, inspections = [], []
+    for one in frames:
+        steps.append(tracker.step(one))
+        inspections.append(tracker.inspect())
+    doubtful = replace(steps[-1], score=np.array([0.2]))
+    told = replace(inspections[-1], existence=np.array([0.2]))
+    lives = smooth([*steps[:-1], doubtful], config, [*inspections[:-1], told])
+    assert [len(one) for one in lives[5:]] == [1] * (len(steps) - 6) + [0]
+    no_object = smooth([*steps[:-1], doubtful], config, inspections)
+    assert sum(map(len, no_object)) == 0
+
+
 def test_a_life_ends_with_its_last_detection_and_long_gaps_stay_open():
     config = PMBMConfig.textbook(
         clutter_rate=1e-6, detection_probability=0.1, survival=0.9999, report_above=0.001
@@ -177,3 +195,5 @@ def test_what_cannot_be_smoothed_is_refused():
         smooth(steps[::-1])
     with pytest.raises(InputError, match="covariance"):
         smooth([replace(steps[0], covariance=None)])
+    with pytest.raises(InputError, match="inspections"):
+        smooth(steps, None, [tracker.inspect()])
