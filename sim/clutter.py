@@ -38,7 +38,6 @@ from sim.streams import Purpose, Streams, beta, correlated, normal
 
 _SMALLEST_SIZE = 0.2
 
-_ALIGNED_SPREAD = 0.2
 _BLOCK = 16
 _CELL = 40.0
 _CELLS_A_SIDE = 2**20
@@ -48,6 +47,7 @@ _ECHO_SPREAD = 0.1
 
 
 _ONE = Curve.constant(1.0)
+_LOW = Curve.constant(0.3)
 
 
 def _cars() -> Mapping[Label, float]:
@@ -59,12 +59,15 @@ class FalseBoxes:
     """What false boxes of a label are like.
 
     range_profile : curve over range (m): relative density per square metre.
-    score_mean : mean of the confidence, a Beta variable.
+    score_mean : curve over range (m): mean of the confidence, a Beta variable.
     score_concentration : sum of both shapes of the Beta; larger is narrower.
     size_spread : relative standard deviations of length, width and height about the typical ones.
     size_correlation : correlation of these three errors: one number for every two, or three.
     aligned_share : of the boxes, the share that lies along or against the sensor's axis, as what
-        stands by a road does, give or take 0.2 rad; the others head anywhere.
+        stands by a road does.
+    across_share : the share that lies across it, to the left or to the right; all others head
+        anywhere.
+    aligned_spread : standard deviation of both about their directions, rad.
     typical_size : length, width, height, m; where absent, the label's usual one.
     companion_probability : of a further false box of the label near one.
     companion_spread : standard deviation of where that is about the first, x and y, m.
@@ -74,11 +77,13 @@ class FalseBoxes:
     """
 
     range_profile: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ONE
-    score_mean: Annotated[float, SHARE] = 0.3
+    score_mean: Annotated[NumberOrCurve, SHARE] = _LOW
     score_concentration: Annotated[float, POSITIVE] = 6.0
     size_spread: Spread = (0.1, 0.1, 0.1)
     size_correlation: SizeCorrelation = 0.0
     aligned_share: Annotated[float, SHARE] = 0.0
+    across_share: Annotated[float, SHARE] = 0.0
+    aligned_spread: Annotated[float, NOT_NEGATIVE] = 0.2
     typical_size: Size | None = None
     companion_probability: Annotated[float, SHARE] = 0.0
     companion_spread: Annotated[float, NOT_NEGATIVE] = 2.0
@@ -88,6 +93,13 @@ class FalseBoxes:
         object.__setattr__(self, "echo", by_label("echo", self.echo))
         check_bounds(self)
         check_correlation("size_correlation", self.size_correlation)
+        if self.aligned_share + self.across_share > 1.0:
+            raise InputError(
+                "impossible across_share",
+                field="across_share",
+                expected="with aligned_share at most 1",
+                got=self.across_share,
+            )
         if not any(density > 0 for density in self.range_profile.value):
             raise InputError(
                 "impossible range_profile",
@@ -109,6 +121,7 @@ class ClutterModel(FalseBoxes):
         the rest appears anywhere, anew in every frame.
     persistent_detection : probability that a place in view gives a box in a frame.
     persistent_noise : standard deviation of such a box about its place, x and y, m.
+    persistent_yaw_noise : the same of its heading about the place's, rad.
     labels : relative frequency of each label.
     label : what false boxes of single labels are like; the others are as this table says.
     """
@@ -117,6 +130,7 @@ class ClutterModel(FalseBoxes):
     persistent_share: Annotated[float, SHARE] = 0.0
     persistent_detection: Annotated[float, Bound(most=1.0, above=0.0)] = 0.8
     persistent_noise: Annotated[float, NOT_NEGATIVE] = 0.3
+    persistent_yaw_noise: Annotated[float, NOT_NEGATIVE] = 0.1
     labels: Annotated[Mapping[NamedLabel, float], NOT_NEGATIVE] = field(default_factory=_cars)
     label: Mapping[NamedLabel, FalseBoxes] = field(default_factory=dict)
 
@@ -190,8 +204,9 @@ def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
         distance[rows] = _range_quantile(model.of(kind).range_profile, scene.site, along[rows])
     bearing = pose[:, 2] + scene.site.fov_centre + scene.site.fov_half_angle * (2 * around - 1)
     centre = pose[:, :2] + distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-    boxes = _false_boxes(model, frame, centre, pose[:, 2], label, np.stack(look, axis=1), score)
-    return _with_company(model, boxes, pose[:, 2], np.concatenate(company))
+    marks_of_look = np.stack(look, axis=1)
+    boxes = _false_boxes(model, frame, centre, distance, pose[:, 2], label, marks_of_look, score)
+    return _with_company(model, boxes, distance, pose[:, 2], np.concatenate(company))
 
 
 def _persistent(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
@@ -243,23 +258,31 @@ def _boxes_of_place(
         model,
         frame,
         centre + model.persistent_noise * error[:, :2],
+        distance[frame],
         heading,
         np.broadcast_to(label, len(frame)),
         np.broadcast_to(look, (len(frame), len(look))),
         score[frame],
     )
-    boxes = replace(boxes, yaw=wrap_angle(boxes.yaw + 0.1 * error[:, 2]))
+    boxes = replace(boxes, yaw=wrap_angle(boxes.yaw + model.persistent_yaw_noise * error[:, 2]))
     if not model.has_company:
         return boxes
     draws = streams.uniforms(Purpose.COMPANION, len(scene), _COMPANY, key)
     lasting = np.tile(draws[0], (len(frame), 1))
     lasting[:, _COMPANY_SCORES] = draws[frame][:, _COMPANY_SCORES]
-    return _with_company(model, boxes, heading, lasting)
+    return _with_company(model, boxes, distance[frame], heading, lasting)
 
 
-def _with_company(model: ClutterModel, boxes: Boxes, axis: FloatArray, draws: FloatArray) -> Boxes:
-    """Boxes with their companions and echoes; `draws` (R,20) are uniforms: whether there is a
-    companion, where (two), its look and score (seven); which echo, where, its look and score."""
+def _with_company(
+    model: ClutterModel,
+    boxes: Boxes,
+    distance: FloatArray,
+    axis: FloatArray,
+    draws: FloatArray,
+) -> Boxes:
+    """Boxes at distances (R,) with their companions and echoes; `draws` (R,20) are uniforms:
+    whether there is a companion, where (two), its look and score (seven); which echo, where, its
+    look and score."""
     if not model.has_company:
         return boxes
     parts = [boxes]
@@ -272,6 +295,7 @@ def _with_company(model: ClutterModel, boxes: Boxes, axis: FloatArray, draws: Fl
                 model,
                 boxes.frame[joined],
                 boxes.position[joined, :2] + aside,
+                distance[joined],
                 axis[joined],
                 boxes.label[joined],
                 draws[joined, 3:9],
@@ -280,15 +304,20 @@ def _with_company(model: ClutterModel, boxes: Boxes, axis: FloatArray, draws: Fl
         )
         other = drawn_label(look.echo, draws[:, 10])
         rows = (boxes.label == value) & (other >= 0)
-        parts.append(look_alike(model, boxes.take(rows), other[rows], draws[rows, 11:]))
+        brought = boxes.take(rows)
+        parts.append(look_alike(model, brought, distance[rows], other[rows], draws[rows, 11:]))
     return concatenate(parts)
 
 
-def look_alike(model: ClutterModel, boxes: Boxes, label: IntArray, draws: FloatArray) -> Boxes:
-    """False boxes of those labels (R,) where `boxes` are and heading as they do; `draws` (R,9) are
-    uniforms of place (two), look and score."""
+def look_alike(
+    model: ClutterModel, boxes: Boxes, distance: FloatArray, label: IntArray, draws: FloatArray
+) -> Boxes:
+    """False boxes of those labels (R,) where `boxes` are, at distances (R,), and heading as they
+    do; `draws` (R,9) are uniforms of place (two), look and score."""
     centre = boxes.position[:, :2] + _ECHO_SPREAD * normal(draws[:, :2])
-    echo = _false_boxes(model, boxes.frame, centre, boxes.yaw, label, draws[:, 2:8], draws[:, 8])
+    echo = _false_boxes(
+        model, boxes.frame, centre, distance, boxes.yaw, label, draws[:, 2:8], draws[:, 8]
+    )
     return replace(echo, yaw=boxes.yaw)
 
 
@@ -342,26 +371,29 @@ def _false_boxes(
     model: ClutterModel,
     frame: IntArray,
     centre: FloatArray,
+    distance: FloatArray,
     axis: FloatArray,
     label: IntArray,
     draws: FloatArray,
     score_draw: FloatArray,
 ) -> Boxes:
-    """Boxes at centres (R,2); `axis` (R,) is where the sensor heads, `draws` (R,6) are uniforms of
-    the heading (two) and the size (four)."""
+    """Boxes at centres (R,2), seen at distances (R,); `axis` (R,) is where the sensor heads,
+    `draws` (R,6) are uniforms of the heading (two) and the size (four)."""
     size, score, yaw = np.zeros((len(frame), 3)), np.zeros(len(frame)), np.zeros(len(frame))
     for kind in map(Label, np.unique(label).tolist()):
         rows, look = label == kind, model.of(kind)
         typical = np.array(look.typical_size or TYPICAL_SIZE[kind])
         error = correlated(normal(draws[rows, 2:]), look.size_correlation)
         size[rows] = np.maximum(typical * (1 + np.array(look.size_spread) * error), _SMALLEST_SIZE)
-        mean = np.full(np.count_nonzero(rows), look.score_mean)
+        mean = look.score_mean(distance[rows])
         score[rows] = beta(score_draw[rows], mean, look.score_concentration)
         aligned = draws[rows, 0] < look.aligned_share
+        across = ~aligned & (draws[rows, 0] < look.aligned_share + look.across_share)
         # One draw gives both which way along the axis and how far off it.
         way, off = np.divmod(2 * draws[rows, 1], 1.0)
-        along = axis[rows] + np.pi * way + _ALIGNED_SPREAD * normal(np.maximum(off, 2.0**-53))
-        yaw[rows] = np.where(aligned, along, 2 * np.pi * draws[rows, 1] - np.pi)
+        along = axis[rows] + np.pi * way + look.aligned_spread * normal(np.maximum(off, 2.0**-53))
+        anywhere = 2 * np.pi * draws[rows, 1] - np.pi
+        yaw[rows] = np.select([aligned, across], [along, along + np.pi / 2], anywhere)
     return Boxes(
         frame=frame,
         origin=np.full(len(frame), CLUTTER),

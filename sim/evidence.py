@@ -78,6 +78,7 @@ class Falses:
     position (R,2) : in the world, m.
     place (R,2) : from the sensor, x along its yaw, m.
     distance (R,), bearing (R,) : from the sensor, bearing relative to its yaw.
+    heading (R,) : of the sensor, rad.
     size (R,3), yaw (R,), score (R,) : yaw relative to the line of sight.
     """
 
@@ -88,6 +89,7 @@ class Falses:
     place: FloatArray
     distance: FloatArray
     bearing: FloatArray
+    heading: FloatArray
     size: FloatArray
     yaw: FloatArray
     score: FloatArray
@@ -203,6 +205,7 @@ def _gather(number: int, recording: Recording) -> tuple[Chances, Hits, Falses]:
         place=place[false],
         distance=distance[false],
         bearing=relative[false],
+        heading=pose[false, 2],
         size=box["size"][false],
         yaw=wrap_angle(box["yaw"][false] - bearing[false]),
         score=box["score"][false],

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -16,17 +17,27 @@ from sim.fit_boxes import fit_errors
 from sim.fit_clutter import fit_clutter, fit_company
 from sim.fit_scores import ScoreScale, score_scale
 from sim.knobs import Curve
+from sim.likeness import Figure, figures, modelled
 from sim.moments import FEWEST, Sample, binned, range_bins, sample, steps
 from sim.objects import ObjectModel
 from sim.sensor import SensorModel
 
 _VISIBILITY_EDGES: Final = (0.1, 0.5, 0.9)
+_SUREST: Final = 0.999
 
 
 def fit_detector(
-    recordings: Recording | Sequence[Recording], *, name: str = "fitted", provenance: str = ""
+    recordings: Recording | Sequence[Recording],
+    *,
+    name: str = "fitted",
+    provenance: str = "",
+    min_iou: float | None = None,
 ) -> DetectorModel:
     """The detector model under which recordings look as they do.
+
+    `min_iou` is the 3D overlap from which their origins join a box to an object, where they do
+    (`pmbm.datasets.with_origins`): boxes of the model that overlap less will count as misses and
+    false boxes too, and the detection probability makes up for them.
 
     Detection probability (over range and visibility) and miss bursts are of maximum likelihood;
     noise, sizes, scores and clutter match moments range by range; duplicates, companions and
@@ -56,7 +67,7 @@ def fit_detector(
         f"Fitted to {len(recordings)} recordings, {delivered} frames, {len(chances.found)} objects "
         f"in view, {len(hits.score)} of them detected, {len(evidence.falses.score)} false boxes."
     )
-    return DetectorModel(
+    model = DetectorModel(
         name=name,
         objects=_fit_objects(sample(evidence, everything), scale, {}),
         label=by_label,
@@ -67,6 +78,37 @@ def fit_detector(
         score_floor=scale.floor,
         provenance=f"{provenance} {source}".strip(),
     )
+    return model if min_iou is None else _made_up(model, recordings, min_iou)
+
+
+def refits(
+    recordings: Sequence[Recording], count: int, *, min_iou: float | None = None, seed: int = 0
+) -> Iterator[list[dict[str, Figure]]]:
+    """The figures, on each of the recordings, of models fitted to as many of them drawn with
+    replacement: what `sim.likeness.bootstrap` resamples."""
+    rng = np.random.default_rng(seed)
+    for rows in rng.integers(0, len(recordings), (count, len(recordings))):
+        model = fit_detector([recordings[row] for row in rows], min_iou=min_iou)
+        yield [figures(r) for r in modelled(model, recordings, seed, min_iou=min_iou)]
+
+
+def _made_up(
+    model: DetectorModel, recordings: Sequence[Recording], min_iou: float
+) -> DetectorModel:
+    """The model with detection probabilities over the shares of its boxes that overlap enough."""
+    chances = gather(modelled(model, recordings, seed=0)).chances
+    matched = gather(modelled(model, recordings, seed=0, min_iou=min_iou)).chances.found
+    by_label = {}
+    for label, objects in model.label.items():
+        rows = chances.found & (chances.label == label)
+        curve = objects.detection_probability
+        share = _hats(chances.distance[rows], np.array(curve.at))
+        enough = share.sum(axis=0) >= FEWEST
+        kept = np.where(enough, share.T @ matched[rows] / np.maximum(share.sum(axis=0), 1e-9), 1.0)
+        value = np.clip(np.array(curve.value) / np.maximum(kept, 0.1), 0.0, _SUREST)
+        made_up = Curve(at=curve.at, value=tuple(np.maximum(value, curve.value)))
+        by_label[label] = replace(objects, detection_probability=made_up)
+    return replace(model, label=by_label)
 
 
 def _fit_objects(part: Sample, scale: ScoreScale, company: dict[str, Any]) -> ObjectModel:
@@ -94,7 +136,7 @@ def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
 def _fit_probability(chances: Chances) -> tuple[Curve, Curve]:
     """Detection probability in full view over range, and what multiplies its odds over visibility
     (maximum likelihood); the second is 1 in full view."""
-    knots = binned(chances.distance, range_bins(chances.distance))
+    knots = binned(chances.distance, range_bins(chances.distance, FEWEST // 2))
     level = np.digitize(chances.visibility, _VISIBILITY_EDGES)
     full = level == len(_VISIBILITY_EDGES)
     dim = [k for k in np.unique(level[~full]).tolist() if np.count_nonzero(level == k) >= FEWEST]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from scipy import stats
 
 from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
@@ -16,9 +17,10 @@ from sim.clutter import ClutterModel, FalseBoxes
 from sim.evidence import Evidence, Falses
 from sim.fit_scores import ScoreScale, concentration_of
 from sim.knobs import Curve
-from sim.moments import BIN_WIDTH, FEWEST, pair_correlations
+from sim.moments import BIN_WIDTH, FEWEST, binned, pair_correlations, range_bins
 
-_ALIGNED_NEAR: Final = 0.95
+_SPREADS: Final = (0.02, 0.5)
+"""Between these lies how far headings may stray from a direction and still keep to it, rad."""
 _NEAR: Final = 1.5
 """A false box of the next frame this close belongs to the same place, m."""
 _ECHO_REACH: Final = 0.6
@@ -35,13 +37,12 @@ def fit_clutter(evidence: Evidence, scale: ScoreScale, company: Company) -> Clut
     frames = int(evidence.frames.sum())
     if len(falses.score) == 0:
         return ClutterModel()
-    share, detection = _fit_places(falses)
+    places = _fit_places(falses)
     labels = np.unique(falses.label).tolist()
     alone = company.alone(evidence)
     return ClutterModel(
         rate=float(sum(alone.values())) / frames,
-        persistent_share=share,
-        persistent_detection=detection,
+        **places,
         labels={Label(v): float(alone[v] / sum(alone.values())) for v in labels},
         label={
             Label(v): FalseBoxes(
@@ -207,31 +208,46 @@ def _false_boxes(evidence: Evidence, rows: BoolArray, scale: ScoreScale) -> Mapp
     area = np.maximum((ring * half_angle * evidence.frames).sum(axis=1), 1e-9)
     density = np.histogram(distance, edges)[0] / area
     value = scale.quality(falses.score[rows])
-    mean = np.full(len(value), np.clip(value.mean(), 1e-3, 1 - 1e-3))
+    bins = range_bins(distance)
+    mean = np.clip(binned(value, bins), 1e-3, 1 - 1e-3)
+    aligned, across, spread = _headings(falses.yaw[rows] + falses.bearing[rows])
     typical = size.mean(axis=0)
     return {
         "range_profile": Curve(
             at=tuple((edges[1:] + edges[:-1]) / 2), value=tuple(density / density.max())
         ),
-        "score_mean": float(mean[0]),
-        "score_concentration": concentration_of(value, mean),
+        "score_mean": Curve(at=tuple(binned(distance, bins)), value=tuple(mean)),
+        "score_concentration": concentration_of(value, mean[bins]),
         "typical_size": tuple(typical.tolist()),
         "size_spread": tuple(np.clip(size.std(axis=0) / typical, 0.0, 0.5).tolist()),
         "size_correlation": pair_correlations(size),
-        "aligned_share": _aligned_share(falses.yaw[rows] + falses.bearing[rows]),
+        "aligned_share": aligned,
+        "across_share": across,
+        "aligned_spread": spread,
     }
 
 
-def _aligned_share(heading: FloatArray) -> float:
-    """The share of headings (R,), relative to the sensor's, that lie along its axis: of uniform
-    ones a quarter is within pi / 8 of it, of aligned ones nearly all."""
-    aside = np.abs(wrap_angle(2 * heading)) / 2
-    near = float(np.mean(aside < np.pi / 8))
-    return float(np.clip((near - 0.25) / (_ALIGNED_NEAR - 0.25), 0.0, 1.0))
+def _headings(heading: FloatArray) -> tuple[float, float, float]:
+    """The shares of headings (R,), relative to the sensor's, that lie along its axis and across it,
+    and their spread about them (maximum likelihood by expectation and maximisation; the others are
+    uniform)."""
+    if len(heading) < FEWEST:
+        return 0.0, 0.0, 0.2
+    along = np.abs(wrap_angle(2 * heading)) / 2
+    aside = np.stack([along, np.pi / 2 - along], axis=1)
+    share, spread = np.array([1 / 3, 1 / 3]), 0.2
+    for _ in range(200):
+        density = share * stats.halfnorm.pdf(aside / spread) / spread
+        belongs = density / (density.sum(axis=1) + (1 - share.sum()) * 2 / np.pi)[:, None]
+        share = belongs.mean(axis=0)
+        mean_square = np.sum(belongs * np.square(aside)) / max(belongs.sum(), 1e-9)
+        spread = float(np.clip(np.sqrt(mean_square), _SPREADS[0], _SPREADS[1]))
+    return float(share[0]), float(share[1]), spread
 
 
-def _fit_places(falses: Falses) -> tuple[float, float]:
-    """The share of false boxes that stay at a place, and how often a place gives a box.
+def _fit_places(falses: Falses) -> Mapping[str, Any]:
+    """The share of false boxes that stay at a place, how often a place gives a box, and how these
+    stray about it.
 
     A box of a place has one near it a frame later with the place's probability, any other box
     hardly ever; given one a frame later, so it has two frames later.
@@ -241,18 +257,31 @@ def _fit_places(falses: Falses) -> tuple[float, float]:
     key = key[order]
     position, label = falses.position[order], falses.label[order]
 
-    def next_near(rows: IntArray, lag: int) -> BoolArray:
-        near = np.zeros(len(rows), dtype=bool)
-        low = np.searchsorted(key, key[rows] + lag, side="left")
-        high = np.searchsorted(key, key[rows] + lag, side="right")
-        for index, (row, begin, end) in enumerate(zip(rows, low, high, strict=True)):
-            apart = np.linalg.norm(position[begin:end] - position[row], axis=1)
-            near[index] = np.any((apart < _NEAR) & (label[begin:end] == label[row]))
-        return near
+    def nearest_after(lag: int) -> IntArray:
+        """The row (R,) of the box of the same label so many frames later that is nearest, -1 where
+        none is near."""
+        found = np.full(len(key), -1)
+        low = np.searchsorted(key, key + lag, side="left")
+        high = np.searchsorted(key, key + lag, side="right")
+        for row, (begin, end) in enumerate(zip(low, high, strict=True)):
+            alike = begin + np.flatnonzero(label[begin:end] == label[row])
+            apart = np.linalg.norm(position[alike] - position[row], axis=1)
+            if apart.min(initial=np.inf) < _NEAR:
+                found[row] = alike[apart.argmin()]
+        return found
 
-    every = np.arange(len(key))
-    once, twice = next_near(every, 1), next_near(every, 2)
+    after = nearest_after(1)
+    once, twice = after >= 0, nearest_after(2) >= 0
     if np.count_nonzero(once) < FEWEST:
-        return 0.0, 0.8
+        return {}
     detection = float(np.clip(twice[once].mean(), 0.05, 1.0))
-    return float(np.clip(once.mean() / detection, 0.0, 1.0)), detection
+    apart = np.square(position[after[once]] - position[once]).sum(axis=1)
+    heading = (falses.yaw + falses.bearing + falses.heading)[order]
+    turned = np.abs(wrap_angle(2 * (heading[after[once]] - heading[once]))) / 2
+    # Medians, since some boxes are near by chance; of two boxes each strays by itself.
+    return {
+        "persistent_share": float(np.clip(once.mean() / detection, 0.0, 1.0)),
+        "persistent_detection": detection,
+        "persistent_noise": float(np.sqrt(np.median(apart) / 2 / stats.chi2.median(2))),
+        "persistent_yaw_noise": float(np.median(turned) / np.sqrt(2) / stats.halfnorm.median()),
+    }

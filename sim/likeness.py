@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from pmbm.datasets import with_origins
 from pmbm.labels import Label
 from pmbm.types import BoolArray, FloatArray, IntArray, Recording
 from sim.detector import DetectorModel
@@ -80,13 +81,20 @@ def pooled(parts: Sequence[dict[str, Figure]]) -> dict[str, Figure]:
 
 
 def modelled(
-    detector: DetectorModel, recordings: Sequence[Recording], seed: int, trial: int = 0
+    detector: DetectorModel,
+    recordings: Sequence[Recording],
+    seed: int,
+    trial: int = 0,
+    *,
+    min_iou: float | None = None,
 ) -> list[Recording]:
-    """What the detector makes of the truth of recordings, each with a seed of its own."""
-    return [
+    """What the detector makes of the truth of recordings, each with a seed of its own; `min_iou` to
+    lose sight of where its boxes come from and find it by overlap, as one must for real ones."""
+    made = [
         detector.detect(replay(recording), seed + number, trial)
         for number, recording in enumerate(recordings)
     ]
+    return made if min_iou is None else [with_origins(r, min_iou=min_iou) for r in made]
 
 
 @dataclass(frozen=True)
@@ -131,7 +139,7 @@ def compare(
 
 def bootstrap(
     fitted_real: Sequence[dict[str, Figure]],
-    fitted_model: Sequence[dict[str, Figure]],
+    refitted: Sequence[Sequence[dict[str, Figure]]],
     held_real: Sequence[dict[str, Figure]],
     held_model: Sequence[dict[str, Figure]],
     *,
@@ -140,13 +148,22 @@ def bootstrap(
 ) -> list[Comparison]:
     """Figures on held-back recordings, with the interval that resampling the fitted ones gives.
 
+    refitted : for each of several models, its figures on every fitted recording; each model is
+        fitted to as many recordings as the real one, drawn of them with replacement.
+
     As many recordings as are held back are drawn, with replacement, of the fitted ones; the
-    interval holds the middle 95 % of the differences of model and real over such draws.
+    interval holds the middle 95 % of the differences of model and real over such draws and models:
+    how a model fitted to so many recordings differs from so many others of the same kind.
     """
     resampled = _Resampled(len(fitted_real), len(held_real), draws, seed)
     result = []
     for item in compare(held_real, held_model):
-        interval = resampled.interval(item.name, fitted_real, fitted_model)
+        real = _sums(item.name, fitted_real, resampled.held)
+        model = np.zeros_like(real)
+        for number, of_model in enumerate(refitted):
+            rows = slice(number, None, len(refitted))
+            model[rows] = _sums(item.name, of_model, resampled.held[rows])
+        interval = _middle(item.name, real, model)
         if interval is not None:
             result.append(replace(item, interval=interval))
     return result
@@ -162,49 +179,54 @@ def between_real(
     """What `bootstrap` says of two disjoint sets of real recordings, without any model.
 
     The figures of those held back stand for the model's, those of all fitted ones for the real;
-    the interval is that of as many recordings drawn of the fitted ones.  What leaves it does so
-    because recordings differ.
+    the interval is that of two such sets drawn of the fitted ones.  What leaves it does so because
+    recordings differ.
     """
     resampled = _Resampled(len(fitted), len(held), draws, seed)
-    # The same total for every draw.
-    whole = [pooled(fitted)] * len(fitted)
     result = []
     for item in compare([pooled(fitted)], held):
         weight = pooled(held)[item.name].weight
-        interval = resampled.interval(item.name, whole, fitted)
+        interval = _middle(
+            item.name,
+            _sums(item.name, fitted, resampled.fitted),
+            _sums(item.name, fitted, resampled.held),
+        )
         if interval is not None and weight >= _FEWEST:
             result.append(replace(item, weight=weight, interval=interval))
     return result
 
 
 class _Resampled:
-    """Draws of `held` recordings of `fitted`, with replacement."""
+    """Rows (draws, n) of so many fitted recordings, drawn with replacement: as many as are fitted,
+    and as many as are held back."""
 
     def __init__(self, fitted: int, held: int, draws: int, seed: int) -> None:
-        self.rows = np.random.default_rng(seed).integers(0, fitted, (draws, held))
+        rng = np.random.default_rng(seed)
+        self.held = rng.integers(0, fitted, (draws, held))
+        self.fitted = rng.integers(0, fitted, (draws, fitted))
 
-    def interval(
-        self, name: str, real: Sequence[dict[str, Figure]], model: Sequence[dict[str, Figure]]
-    ) -> tuple[float, float] | None:
-        """Middle 95 % of the differences of model and real; None where few draws have both."""
-        sums = [
-            np.array(
-                [
-                    (part[name].total, part[name].weight) if name in part else (0, 0)
-                    for part in parts
-                ]
-            )[self.rows].sum(axis=1)
-            for parts in (real, model)
-        ]
-        differences = [
-            _difference(name, Figure(name, *a).value, Figure(name, *b).value)
-            for a, b in zip(*sums, strict=True)
-            if a[1] > 0 and b[1] > 0
-        ]
-        if len(differences) < len(self.rows) / 2:
-            return None
-        low, high = np.percentile(differences, [2.5, 97.5])
-        return float(low), float(high)
+
+def _sums(name: str, parts: Sequence[dict[str, Figure]], rows: IntArray) -> FloatArray:
+    """Totals and weights (draws,2) of a figure over recordings (draws, n)."""
+    none = Figure(name, 0.0, 0.0)
+    each = [part.get(name, none) for part in parts]
+    sums: FloatArray = np.array([(figure.total, figure.weight) for figure in each])[rows].sum(
+        axis=1
+    )
+    return sums
+
+
+def _middle(name: str, real: FloatArray, model: FloatArray) -> tuple[float, float] | None:
+    """Middle 95 % of the differences of sums (draws,2); None where few draws have both."""
+    differences = [
+        _difference(name, Figure(name, *a).value, Figure(name, *b).value)
+        for a, b in zip(real, model, strict=True)
+        if a[1] > 0 and b[1] > 0
+    ]
+    if len(differences) < len(real) / 2:
+        return None
+    low, high = np.percentile(differences, [2.5, 97.5])
+    return float(low), float(high)
 
 
 def _difference(name: str, real: float, model: float) -> float:

@@ -32,8 +32,8 @@ def sample(evidence: Evidence, keep: BoolArray) -> Sample:
     return Sample(evidence.chances.take(keep), replace(hits, chance=number[hits.chance]))
 
 
-def range_bins(distance: FloatArray) -> IntArray:
-    """Bins (R,) of range, neighbours joined until each holds enough."""
+def range_bins(distance: FloatArray, fewest: int = FEWEST) -> IntArray:
+    """Bins (R,) of range, neighbours joined until each holds `fewest`."""
     number = (distance / BIN_WIDTH).astype(np.int64)
     joined = np.zeros(number.max() + 1, dtype=np.int64)
     current, held = 0, 0
@@ -41,7 +41,7 @@ def range_bins(distance: FloatArray) -> IntArray:
     for index, here in enumerate(count):
         joined[index] = current
         held += here
-        if held >= FEWEST and count[index + 1 :].sum() >= FEWEST:
+        if held >= fewest and count[index + 1 :].sum() >= fewest:
             current, held = current + 1, 0
     return joined[number]
 

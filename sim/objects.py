@@ -204,7 +204,11 @@ def sense(model: ObjectModel, seen: Targets, streams: Streams, false_boxes: Clut
         label=_label(model, seen, streams),
     )
     found = _doubled(model, boxes, seen, streams)
-    return found if echo is None else concatenate([found, _echoes(model, boxes, echo, false_boxes)])
+    return (
+        found
+        if echo is None
+        else concatenate([found, _echoes(model, boxes, seen.distance, echo, false_boxes)])
+    )
 
 
 def _detected(model: ObjectModel, seen: Targets, streams: Streams) -> NDArray[np.bool_]:
@@ -289,13 +293,18 @@ def _label(model: ObjectModel, seen: Targets, streams: Streams) -> IntArray:
 
 
 def _echoes(
-    model: ObjectModel, boxes: Boxes, draws: FloatArray, false_boxes: ClutterModel
+    model: ObjectModel,
+    boxes: Boxes,
+    distance: FloatArray,
+    draws: FloatArray,
+    false_boxes: ClutterModel,
 ) -> Boxes:
-    """False boxes of another label where `boxes` are; `draws` (R,10) are standard normals."""
+    """False boxes of another label where `boxes` are, at distances (R,); `draws` (R,10) are
+    standard normals."""
     uniform = cumulative_normal(draws)
     label = drawn_label(model.echo, uniform[:, 0])
     rows = label >= 0
-    return look_alike(false_boxes, boxes.take(rows), label[rows], uniform[rows, 1:])
+    return look_alike(false_boxes, boxes.take(rows), distance[rows], label[rows], uniform[rows, 1:])
 
 
 def _doubled(model: ObjectModel, boxes: Boxes, seen: Targets, streams: Streams) -> Boxes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,9 +47,16 @@ _SEED = 7
 @click.option(
     "--trials",
     type=click.IntRange(min=1),
-    default=4,
+    default=8,
     show_default=True,
     help="Trials of the model that are held against the data.",
+)
+@click.option(
+    "--refits",
+    type=click.IntRange(min=1),
+    default=20,
+    show_default=True,
+    help="Models fitted to resampled sequences, for the intervals of those held back.",
 )
 @click.option("--realism/--no-realism", default=True, help="Run the classifier two-sample test.")
 @click.option("--out", type=FOLDER, default=Path("reports"), show_default=True)
@@ -63,6 +71,7 @@ def command(
     name: str,
     min_iou: float,
     trials: int,
+    refits: int,
     realism: bool,
     out: Path,
 ) -> None:
@@ -73,10 +82,15 @@ def command(
       pmbm fit-detector kitti --root kitti --detections 'kitti/detections/pointrcnn_{class}' \\
           --poses kitti/pose --sequences 0000 0002 0003 --held-back 0006 0008 --out fitted
     """
+    from rich.console import Console
+    from rich.progress import track
+
     from pmbm.datasets import load, open_dataset, with_origins
     from reports.detector_page import DetectorReport, detector_page
+    from sim.detector import load_profile
     from sim.evidence import gather
     from sim.fit import fit_detector
+    from sim.fit import refits as models_of_resampled
     from sim.likeness import between_real, bootstrap, compare, figures, modelled
     from sim.toml_door import toml_text
 
@@ -86,18 +100,26 @@ def command(
     names = list(sequences) or [s for s in dataset.sequences() if s not in held_back]
     real = [with_origins(r, min_iou=min_iou) for r in load(dataset, names)]
     held = [with_origins(r, min_iou=min_iou) for r in load(dataset, held_back)]
-    model = fit_detector(real, name=name, provenance=f"{dataset_name}: {', '.join(names)}.")
+    again = _command(
+        dataset_name, root, detections, poses, classes, names, held_back, name, min_iou
+    )
+    provenance = f"{dataset_name}: {', '.join(names)}. Made by: {again}."
+    model = fit_detector(real, name=name, provenance=provenance, min_iou=min_iou)
+    model = load_profile(_rounded(model.plain()))
     out.mkdir(parents=True, exist_ok=True)
     profile = out / f"{name}.toml"
     profile.write_text(toml_text(model.plain()), encoding="utf-8")
 
-    fitted_real, fitted_model = [figures(r) for r in real], _modelled_figures(model, real, trials)
+    fitted_real = [figures(r) for r in real]
+    fitted_model = _modelled_figures(model, real, trials, min_iou)
     fitted = compare(fitted_real, fitted_model)
     judged: list[Comparison] = []
     if held:
-        held_model = _modelled_figures(model, held, trials)
+        held_model = _modelled_figures(model, held, trials, min_iou)
         held_real = [figures(r) for r in held]
-        judged = bootstrap(fitted_real, fitted_model, held_real, held_model)
+        others = models_of_resampled(real, refits, min_iou=min_iou)
+        refitted = list(track(others, "refitting", total=refits, console=Console(stderr=True)))
+        judged = bootstrap(fitted_real, refitted, held_real, held_model)
     _print("fitted sequences", fitted)
     if judged:
         _print("sequences held back, with the interval of a bootstrap of the fitted ones", judged)
@@ -113,9 +135,9 @@ def command(
             DetectorReport(
                 name=name,
                 provenance=model.provenance,
-                command=_command(dataset_name, root, detections, poses, names, held_back, name),
+                command=again,
                 real=gather(real),
-                model=gather(modelled(model, real, _SEED)),
+                model=gather(modelled(model, real, _SEED, min_iou=min_iou)),
                 fitted=fitted,
                 held_back=judged,
                 realism=outcome,
@@ -126,14 +148,23 @@ def command(
     click.echo(f"profile  {profile}\npage     {page}")
 
 
+def _rounded(value: Any) -> Any:
+    """A plain value with its numbers to six digits: no data say more."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {key: _rounded(inner) for key, inner in value.items()}
+    return [_rounded(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
 def _modelled_figures(
-    model: DetectorModel, recordings: Sequence[Recording], trials: int
+    model: DetectorModel, recordings: Sequence[Recording], trials: int, min_iou: float
 ) -> list[dict[str, Figure]]:
     """Figures of the model on the truth of each recording, over all trials."""
     from sim.likeness import figures, modelled, pooled
 
     made = [
-        [figures(r, model) for r in modelled(model, recordings, _SEED, trial)]
+        [figures(r) for r in modelled(model, recordings, _SEED, trial, min_iou=min_iou)]
         for trial in range(trials)
     ]
     return [pooled(parts) for parts in zip(*made, strict=True)]
@@ -210,14 +241,20 @@ def _command(
     root: Path,
     detections: str,
     poses: Path | None,
+    classes: Sequence[str],
     sequences: Sequence[str],
     held_back: Sequence[str],
     name: str,
+    min_iou: float,
 ) -> str:
-    words: list[Any] = ["pmbm fit-detector", dataset, "--root", root, "--detections", detections]
+    """What makes the same profile again."""
+    words: list[Any] = [dataset, "--root", root, "--detections", detections]
     if poses is not None:
         words += ["--poses", poses]
+    if classes:
+        words += ["--classes", *classes]
     words += ["--sequences", *sequences]
     if held_back:
         words += ["--held-back", *held_back]
-    return " ".join(map(str, [*words, "--name", name]))
+    words += ["--min-iou", min_iou, "--name", name]
+    return f"pmbm fit-detector {shlex.join(map(str, words))}"

@@ -125,6 +125,26 @@ def test_false_boxes_may_lie_along_the_sensors_axis_and_be_larger_or_smaller_as_
     assert stats.kstest(error[:, 1], "norm").pvalue > ALPHA
 
 
+def test_false_boxes_may_lie_across_the_axis_and_keep_closer_to_it():
+    knobs = {"rate": 5.0, "aligned_share": 0.5, "across_share": 0.3, "aligned_spread": 0.05}
+    found = clutter(record(NOBODY, clutter=knobs))
+    off_axis = wrap_angle(found["yaw"] - NOBODY.sensor_pose[0, 2])
+    near = 2 * stats.norm.cdf(2.0) - 1  # within two standard deviations
+    uniform = 0.2 * 0.1 / np.pi
+    for direction, share in ((0.0, 0.25), (np.pi, 0.25), (np.pi / 2, 0.15), (-np.pi / 2, 0.15)):
+        close = np.abs(wrap_angle(off_axis - direction)) < 0.1
+        expected = share * near + uniform
+        assert stats.binomtest(int(close.sum()), len(close), expected).pvalue > ALPHA
+
+
+def test_the_confidence_of_false_boxes_may_fall_with_range():
+    knobs = {"rate": 5.0, "score_mean": {"at": [0.0, 100.0], "value": [0.7, 0.1]}}
+    found = clutter(record(NOBODY, clutter=knobs | {"score_concentration": 12.0}))
+    mean = 0.7 - 0.6 * polar(NOBODY, found)[0] / 100
+    level = stats.beta(12 * mean, 12 * (1 - mean)).cdf(found["score"])
+    assert stats.kstest(level, "uniform").pvalue > ALPHA
+
+
 @pytest.mark.slow
 def test_persistent_clutter_follows_the_profile_over_range_too():
     stands = 150

@@ -1,20 +1,26 @@
 """A fitted detector is the one that made the recordings; likeness and realism say so."""
 
 import os
+import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from detector_scenes import still
+from scipy import stats
 
+from pmbm.cli.fit_detector import command
+from pmbm.datasets import with_origins
 from pmbm.errors import InputError
 from pmbm.labels import Label
 from pmbm.types import Site
 from sim.detector import load_profile
 from sim.evidence import gather
-from sim.fit import fit_detector
-from sim.likeness import between_real, bootstrap, compare, figures, modelled
+from sim.fit import fit_detector, refits
+from sim.likeness import Figure, between_real, bootstrap, compare, figures, modelled
 from sim.realism import FEATURES, area, two_sample
 from sim.replay import replay
 
@@ -42,9 +48,11 @@ KNOWN = {
     "clutter": {
         "rate": 3.0,
         "labels": {"car": 2.0, "pedestrian": 1.0},
-        "score_mean": 0.3,
+        "score_mean": {"at": [10.0, 80.0], "value": [0.4, 0.25]},
         "size_correlation": 0.4,
         "aligned_share": 0.5,
+        "across_share": 0.2,
+        "aligned_spread": 0.1,
     },
 }
 
@@ -94,7 +102,12 @@ def test_the_fit_finds_the_detector_that_made_the_recordings(fitted):
         np.testing.assert_allclose(getattr(car, name)(at), value, rtol=0.15)
     assert fitted.clutter.rate == pytest.approx(3.0, rel=0.1)
     assert fitted.clutter.labels[Label.PEDESTRIAN] == pytest.approx(1 / 3, abs=0.05)
-    assert fitted.clutter.of(Label.CAR).aligned_share == pytest.approx(0.5, abs=0.1)
+    false = fitted.clutter.of(Label.CAR)
+    assert false.aligned_share == pytest.approx(0.5, abs=0.05)
+    assert false.across_share == pytest.approx(0.2, abs=0.05)
+    assert false.aligned_spread == pytest.approx(0.1, abs=0.02)
+    mean = false.score_mean(np.array([20.0, 70.0]))
+    assert mean[0] - mean[1] == pytest.approx(0.15 * 50 / 70, abs=0.03)
     np.testing.assert_allclose(fitted.clutter.of(Label.CAR).size_correlation, 0.4, atol=0.1)
     assert car.lasting_size_error < 0.1
     assert car.duplicate_probability < 0.01
@@ -171,11 +184,14 @@ def test_boxes_that_come_with_others_are_found():
 @pytest.mark.slow
 def test_persistent_clutter_is_found():
     knobs = {"rate": 4.0, "persistent_share": 0.6, "persistent_detection": 0.7}
+    knobs |= {"persistent_noise": 0.2, "persistent_yaw_noise": 0.05}
     model = load_profile({}, {"clutter": knobs})
     made = [model.detect(world(seed), seed) for seed in range(12)]
     clutter = fit_detector(made).clutter
     assert clutter.persistent_detection == pytest.approx(0.7, abs=0.08)
     assert clutter.persistent_share == pytest.approx(0.6, abs=0.15)
+    assert clutter.persistent_noise == pytest.approx(0.2, rel=0.15)
+    assert clutter.persistent_yaw_noise == pytest.approx(0.05, rel=0.15)
 
 
 def test_likeness_is_close_for_the_right_model_and_not_for_a_wrong_one(recordings, fitted):
@@ -191,21 +207,66 @@ def test_likeness_is_close_for_the_right_model_and_not_for_a_wrong_one(recording
     assert any(row.name.startswith("recall") and abs(row.difference) > 0.1 for row in off)
 
 
+def test_the_bootstrap_covers_what_models_of_so_many_recordings_do_on_others():
+    rng = np.random.default_rng(11)
+
+    def sequence(level):
+        return {"recall car 0-20 m": Figure("recall car 0-20 m", 1000 * level, 1000)}
+
+    def model_of(levels, count):
+        return [sequence(np.mean(levels))] * count
+
+    inside, inside_one_model = [], []
+    for _ in range(300):
+        fitted, held = rng.normal(0.5, 0.1, 15), rng.normal(0.5, 0.1, 15)
+        refitted = [model_of(rng.choice(fitted, 15), 15) for _ in range(40)]
+        real = [sequence(level) for level in fitted], [sequence(level) for level in held]
+        made = model_of(fitted, 15)
+        inside.append(bootstrap(real[0], refitted, real[1], made, draws=400)[0].inside)
+        inside_one_model.append(bootstrap(real[0], [made], real[1], made, draws=400)[0].inside)
+    assert stats.binom.cdf(sum(inside), 300, 0.95) > 1e-4
+    assert stats.binom.cdf(sum(inside_one_model), 300, 0.95) < 1e-4  # it leaves out half the error
+
+
 @pytest.mark.slow
-def test_the_bootstrap_covers_recordings_of_the_same_kind(recordings, fitted):
+def test_models_of_resampled_recordings_cover_others_of_their_kind(recordings):
     real = [figures(recording) for recording in recordings]
-    model = [figures(r, fitted) for r in modelled(fitted, recordings, 50)]
-    rows = bootstrap(real[:5], model[:5], real[5:], model[5:], draws=400)
-    inside = [row.interval[0] <= row.difference <= row.interval[1] for row in rows]
+    model = fit_detector(recordings[:5])
+    held = [figures(r) for r in modelled(model, recordings[5:], 50)]
+    of_resampled = list(refits(recordings[:5], 8))
+    rows = bootstrap(real[:5], of_resampled, real[5:], held, draws=400)
     assert len(rows) > 10
-    assert np.mean(inside) > 0.6
+    assert np.mean([row.inside for row in rows]) > 0.6
+    blind = load_profile(model.plain(), {"objects": {"detection_probability": 0.6}})
+    held = [figures(r) for r in modelled(blind, recordings[5:], 50)]
+    rows = bootstrap(real[:5], of_resampled, real[5:], held, draws=400)
+    assert not {row.name: row for row in rows}["recall car 0-20 m"].inside
+
+
+def test_a_fit_makes_up_for_boxes_that_overlap_too_little_to_be_matched():
+    knobs = {"detection_probability": 0.9, "radial_noise": 1.0, "length_noise": 0.3}
+    model = load_profile({}, {"objects": knobs})
+    scenes = [world(seed, frames=30) for seed in range(4)]
+    real = [
+        with_origins(model.detect(scene, seed), min_iou=0.25) for seed, scene in enumerate(scenes)
+    ]
+    found = gather(real).chances.found.mean()
+    assert found < 0.8
+    naive, made_up = fit_detector(real), fit_detector(real, min_iou=0.25)
+    recall, recall_made_up = (
+        gather(modelled(fitted, real, 50, min_iou=0.25)).chances.found.mean()
+        for fitted in (naive, made_up)
+    )
+    assert recall < found - 0.03
+    error = np.sqrt(2 * found * (1 - found) / (4 * 30 * 50))
+    assert recall_made_up == pytest.approx(found, abs=3 * error)
 
 
 def test_recordings_of_another_kind_leave_the_interval_without_any_model(recordings):
     real = [figures(recording) for recording in recordings]
     alike = between_real(real[:6], real[6:], draws=400)
     assert len(alike) > 10
-    assert np.mean([row.inside for row in alike]) > 0.6
+    assert np.mean([row.inside for row in alike]) > 0.85
     worse = load_profile({}, {**KNOWN, "clutter": {"rate": 9.0}})
     other = [figures(worse.detect(world(seed), seed)) for seed in range(6, 10)]
     rows = {row.name: row for row in between_real(real[:6], other, draws=400)}
@@ -246,7 +307,6 @@ DATA = os.environ.get("PMBM_DATA")
 
 
 def real_detections():
-    from pmbm.datasets import with_origins
     from pmbm.datasets.kitti import Kitti
 
     root = Path(DATA) / "kitti"
@@ -255,19 +315,15 @@ def real_detections():
     return [with_origins(folder.recording(name)) for name in TUNING]
 
 
-NOT_MET = {"noise length pedestrian 20-40 m"}
-"""198 boxes of few people: the model finds the long ones that the detector misses."""
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA, reason="PMBM_DATA is not set: no real detections")
 def test_pointrcnn_on_kitti_is_modelled_within_the_bars(verified):
     real = real_detections()
-    model = fit_detector(real)
+    model = fit_detector(real, min_iou=0.25)
     made = [
-        figures(recording, model)
+        figures(recording)
         for trial in range(16)
-        for recording in modelled(model, real, 7, trial)
+        for recording in modelled(model, real, 7, trial, min_iou=0.25)
     ]
     rows = compare([figures(recording) for recording in real], made)
     bars = {"recall": 0.03, "noise": 0.15, "clutter": 0.1}
@@ -283,14 +339,44 @@ def test_pointrcnn_on_kitti_is_modelled_within_the_bars(verified):
         not outside,
     )
     assert len(compared) > 50
-    assert outside <= NOT_MET
+    assert not outside
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA, reason="PMBM_DATA is not set: no real detections")
+def test_the_shipped_profile_is_what_its_command_makes(tmp_path):
+    shipped = load_profile("pointrcnn-kitti")
+    said = re.search(r"Made by: pmbm fit-detector (.*)\. Fitted to", shipped.provenance).group(1)
+    arguments = [*shlex.split(said), "--trials", "1", "--no-realism", "--out", str(tmp_path)]
+    here = os.getcwd()
+    os.chdir(DATA)
+    try:
+        CliRunner().invoke(command, arguments, catch_exceptions=False)
+    finally:
+        os.chdir(here)
+    made = load_profile(tmp_path / "pointrcnn-kitti.toml")
+    assert made.provenance == shipped.provenance
+    one, other = (dict(_numbers(model.plain())) for model in (made, shipped))
+    assert one.keys() == other.keys()
+    # Another processor's last bits move a search for the likeliest by this much.
+    assert one == pytest.approx(other, rel=1e-3, abs=1e-4)
+
+
+def _numbers(value, path=()):
+    """Every number of a plain value, with its path."""
+    if isinstance(value, dict | list | tuple):
+        parts = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, part in parts:
+            yield from _numbers(part, (*path, key))
+    elif isinstance(value, float):
+        yield path, value
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA, reason="PMBM_DATA is not set: no real detections")
 def test_a_classifier_tells_modelled_kitti_little_better_than_other_real_sequences(verified):
     real = real_detections()
-    made = modelled(fit_detector(real), real, 7)
+    model = fit_detector(real, min_iou=0.25)
     rng = np.random.default_rng(7)
     halves = [np.array_split(rng.permutation(len(real)), 2) for _ in range(4)]
 
@@ -299,11 +385,12 @@ def test_a_classifier_tells_modelled_kitti_little_better_than_other_real_sequenc
             [area([real[i] for i in one], [others[i] for i in two]) for one, two in halves]
         )
 
-    beyond = mean_area(made) - mean_area(real)
+    made = [mean_area(modelled(model, real, 7, trial)) for trial in range(4)]
+    beyond = np.mean(made) - mean_area(real)
     verified(
         "fit_kitti_realism",
         "area under the curve of a classifier between real and modelled other sequences, less that "
-        "between real and real other sequences (4 random halves of 9)",
+        "between real and real other sequences (4 random halves of 9, 4 trials of the model)",
         round(float(beyond), 3),
         0.05,
         bool(beyond <= 0.05),

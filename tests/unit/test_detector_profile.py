@@ -48,6 +48,10 @@ def test_the_expected_profiles_ship():
         ({"clutter": {"rate": True}}, ["clutter.rate", "number", "True"]),
         ({"clutter": {"rate": float("nan")}}, ["clutter.rate", "nan"]),
         ({"clutter": 3}, ["clutter", "a table", "3"]),
+        (
+            {"clutter": {"aligned_share": 0.7, "across_share": 0.4}},
+            ["clutter", "across_share", "at most 1", "0.4"],
+        ),
         ({"clutter": {"label": {"car": {"rate": 3}}}}, ["clutter.label.car.rate", "unknown key"]),
         ({"clutter": {"label": {"car": {"score_mean": 3}}}}, ["label.car.score_mean", "at most 1"]),
         ({"objects": {"typical_size": [4, -2, 1]}}, ["objects.typical_size", "above 0", "-2"]),
@@ -119,7 +123,7 @@ def test_a_curve_is_linear_between_and_constant_beyond():
 def test_clutter_of_a_label_refines_the_shared_table():
     base = {"clutter": {"score_mean": 0.4, "label": {"car": {"size_spread": [0.2, 0.2, 0.2]}}}}
     model = load_profile(base)
-    assert model.clutter.of(Label.CAR).score_mean == 0.4
+    assert model.clutter.of(Label.CAR).score_mean == Curve.constant(0.4)
     assert model.clutter.of(Label.CAR).size_spread == (0.2, 0.2, 0.2)
     assert model.clutter.of(Label.TRUCK).size_spread == (0.1, 0.1, 0.1)
     changed = load_profile(base, {"clutter": {"size_spread": [0.0, 0.0, 0.0]}})
