@@ -179,7 +179,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         if text not in names:
             raise InputError(f"no scenario '{text}'", hint=nearest_hint(text, names, "scenario"))
         path = catalogue_folder() / f"{text}.toml"
-    scenario = Scenario(_extended(read_toml(path), str(path)), str(path))
+    document = _with_own_profile(_extended(read_toml(path), str(path)), path.parent)
+    scenario = Scenario(document, str(path))
     return scenario.at(level) if level else scenario
 
 
@@ -212,6 +213,17 @@ def _extended(document: dict[str, Any], file: str) -> dict[str, Any]:
         )
     merged = {key: value for key, value in base.items() if key not in _OWN_KEYS}
     return _merge(merged, {key: value for key, value in document.items() if key != "extends"})
+
+
+def _with_own_profile(document: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The document with a detector profile's file, if it names one, found from its own folder."""
+    detector = document.get("detector")
+    if not isinstance(detector, dict):
+        return document
+    profile = detector.get("profile")
+    if not (isinstance(profile, str) and profile.endswith(".toml")):
+        return document
+    return {**document, "detector": {**detector, "profile": str(folder.absolute() / profile)}}
 
 
 def _merge(under: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

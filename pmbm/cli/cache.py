@@ -41,13 +41,19 @@ def list_entries(scenario: str | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from pmbm.errors import nearest_hint
     from sim.cache import entries
 
+    held = list(entries())
+    names = {entry.scenario for entry in held}
+    if scenario is not None and scenario not in names:
+        click.echo(f"no scene of '{scenario}' is kept; {nearest_hint(scenario, names)}")
+        return
     table = Table(box=None, pad_edge=False)
     table.add_column("scenario")
     for heading in ("seed", "trial", "size", "used"):
         table.add_column(heading, justify="right")
-    for entry in entries():
+    for entry in held:
         if scenario in (None, entry.scenario):
             table.add_row(
                 entry.scenario,

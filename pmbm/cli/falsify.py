@@ -35,7 +35,13 @@ if TYPE_CHECKING:
     metavar="KEY LEAST MOST",
     help="A dotted key to vary.  [default: the swept ones and the detector's faults]",
 )
-@click.option("--budget", type=click.IntRange(min=2), default=60, show_default=True)
+@click.option(
+    "--budget",
+    type=click.IntRange(min=2),
+    default=60,
+    show_default=True,
+    help="Scenarios to try in the search; making the worst smaller tries about as many again.",
+)
 @click.option(
     "--trials", type=click.IntRange(min=1), default=1, show_default=True, help="Of each scenario."
 )

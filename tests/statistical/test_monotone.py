@@ -3,7 +3,10 @@
 For each pair of neighbouring levels, trials are paired by seed (one random world under both), and
 a one-sided t-test asks whether the harder level is better, for the PMBM tracker and for a baseline
 that shares none of its code.  Holm's step-down over the pairs of a scenario, at 1e-3 over the whole
-catalogue and both trackers.  `PMBM_MONOTONE_SEEDS` sets another number of seeds than 50.
+catalogue and both trackers.  `PMBM_MONOTONE_SEEDS` sets another number of seeds than 50.  One
+scenario by name, in minutes:
+
+    pytest -m slow "tests/statistical/test_monotone.py::test_no_harder_level_is_easier[crossing]"
 """
 
 import itertools

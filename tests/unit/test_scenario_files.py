@@ -116,6 +116,17 @@ def test_files_that_are_no_files(tmp_path):
         load_scenario(tmp_path / "deep.toml")
 
 
+def test_a_profile_of_ones_own_lies_beside_the_scenario(tmp_path, monkeypatch):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "lidar.toml").write_text('name = "lidar"\n[clutter]\nrate = 3.5\n')
+    text = SMALL.replace('profile = "nominal"', 'profile = "lidar.toml"')
+    assert load_scenario(write(tmp_path / "mine", text)).detector().clutter.rate == 3.5
+    monkeypatch.chdir(tmp_path)
+    assert load_scenario("mine/small.toml").detector().name == "lidar"
+    with pytest.raises(InputError, match=r"lidar\.toml"):
+        load_scenario(write(tmp_path, text))
+
+
 @pytest.mark.parametrize("bad", [{"seed": -1}, {"seed": 1.5}, {"seed": True}, {"trial": -2}])
 def test_seeds_and_trials_are_whole_numbers(tmp_path, bad):
     with pytest.raises(InputError, match=next(iter(bad))):

@@ -193,6 +193,7 @@ def test_the_command_shows_lists_and_clears(folder, capsys):
     listed = run("list", "roundabout")
     assert "roundabout" in listed
     assert "merge" not in listed
+    assert "'roundabuot' is kept; did you mean 'roundabout'?" in run("list", "roundabuot")
     assert "deleted 0 scenes" in run("clear", "--older-than", "1")
     assert "deleted 1 scenes" in run("clear", "merge")
     assert "deleted 2 scenes" in run("clear")
