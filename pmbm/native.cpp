@@ -13,6 +13,7 @@
 #include "filter/merge.hpp"
 #include "filter/rays.hpp"
 #include "filter/reduce.hpp"
+#include "filter/sensor.hpp"
 #include "filter/tables.hpp"
 
 namespace nb = nanobind;
@@ -35,6 +36,16 @@ Output<T> hand_over(std::vector<T>&& values) {
         delete static_cast<std::vector<T>*>(pointer);
     });
     return Output<T>(owned->data(), {owned->size()}, owner);
+}
+
+// The same as a table of so many columns.
+template <std::size_t columns, typename T>
+nb::ndarray<nb::numpy, T, nb::ndim<2>> rows_of(std::vector<T>&& values) {
+    auto* owned = new std::vector<T>(std::move(values));
+    nb::capsule owner(owned, [](void* pointer) noexcept {
+        delete static_cast<std::vector<T>*>(pointer);
+    });
+    return {owned->data(), {owned->size() / columns, columns}, owner};
 }
 
 // Many problems, their matrices one after the other: returns columns, costs, number of solutions.
@@ -103,11 +114,65 @@ nb::tuple gate(Table<double> expected, Input<double> l11, Input<double> l21, Inp
                           hand_over(std::move(whitened)));
 }
 
-Output<double> log_density(Table<double> expected, Input<double> l11, Input<double> l21,
-                           Input<double> l22, Input<double> log_height, Table<double> z,
-                           double threshold) {
-    return hand_over(pmbm::log_density(innovations(expected, l11, l21, l22), log_height.data(),
-                                       z.data(), z.shape(0), threshold));
+// The columns of `Innovation`.
+nb::tuple hand_over(pmbm::Expected&& expected) {
+    return nb::make_tuple(rows_of<2>(std::move(expected.centre)),
+                          hand_over(std::move(expected.l11)), hand_over(std::move(expected.l21)),
+                          hand_over(std::move(expected.l22)));
+}
+
+// Returns the columns of `Innovation`, and those of the pairs.
+nb::tuple gated(Table<double> mean, Table<double> cov, Table<double> R, Input<double> prior,
+                Table<double> z, double threshold) {
+    std::vector<std::int64_t> rows, columns;
+    std::vector<double> whitened, log_weight;
+    pmbm::Expected expected(mean.data(), cov.data(), R.data(), prior.data(), false, prior.size());
+    pmbm::gate(expected.view(), z.data(), z.shape(0), threshold, rows, columns, whitened);
+    pmbm::weigh(expected, rows, columns, whitened, log_weight);
+    return nb::make_tuple(hand_over(std::move(expected)), hand_over(std::move(rows)),
+                          hand_over(std::move(columns)), rows_of<2>(std::move(whitened)),
+                          hand_over(std::move(log_weight)));
+}
+
+// Returns the columns of `Innovation`, log heights, and the log of each measurement's density.
+nb::tuple priced(Table<double> mean, Table<double> cov, Table<double> R, Input<double> log_prior,
+                 Table<double> z, double threshold) {
+    pmbm::Expected expected(mean.data(), cov.data(), R.data(), log_prior.data(), true,
+                            log_prior.size());
+    auto density = pmbm::log_density(expected.view(), expected.log_height.data(), z.data(),
+                                     z.shape(0), threshold);
+    auto height = hand_over(std::move(expected.log_height));
+    return nb::make_tuple(hand_over(std::move(expected)), height, hand_over(std::move(density)));
+}
+
+Output<double> share_inside(Table<double> mean, Table<double> cov, Input<double> pose,
+                            double centre, double half_angle, double max_range) {
+    std::vector<double> share(mean.shape(0));
+    pmbm::share_inside(mean.data(), cov.data(), share.size(),
+                       {pose.data(), centre, half_angle, max_range}, share.data());
+    return hand_over(std::move(share));
+}
+
+// Returns existence after a miss, and the weight of missing.
+nb::tuple missed(Input<double> r, Input<double> P_D) {
+    std::vector<double> existence(r.size()), left(r.size());
+    pmbm::missed(r.data(), P_D.data(), r.size(), existence.data(), left.data());
+    return nb::make_tuple(hand_over(std::move(existence)), hand_over(std::move(left)));
+}
+
+Output<double> seen_if_missed(Input<double> seen, Input<double> P_D, double unseen) {
+    std::vector<double> after(seen.size());
+    pmbm::seen_if_missed(seen.data(), P_D.data(), seen.size(), unseen, after.data());
+    return hand_over(std::move(after));
+}
+
+// Returns the missed, the detected and the new candidates that are used, and the members' names.
+nb::tuple used(Input<std::int64_t> member, std::int64_t missed, std::int64_t detected,
+               std::int64_t fresh) {
+    std::vector<pmbm::Ints> runs;
+    auto renumbered = pmbm::used(member.data(), member.size(), {missed, detected, fresh}, runs);
+    return nb::make_tuple(hand_over(std::move(runs[0])), hand_over(std::move(runs[1])),
+                          hand_over(std::move(runs[2])), hand_over(std::move(renumbered)));
 }
 
 Output<std::int64_t> resumed(Table<double> expected, Input<double> l11, Input<double> l21,
@@ -253,7 +318,12 @@ NB_MODULE(_native, m) {
           nb::arg("first_row"), nb::arg("first_column"), nb::arg("ks"), nb::arg("margin"));
     m.def("gate", &gate, nb::arg("expected"), nb::arg("l11"), nb::arg("l21"), nb::arg("l22"),
           nb::arg("z"), nb::arg("threshold"));
-    m.def("log_density", &log_density);
+    m.def("gated", &gated);
+    m.def("priced", &priced);
+    m.def("share_inside", &share_inside);
+    m.def("missed", &missed);
+    m.def("seen_if_missed", &seen_if_missed);
+    m.def("used", &used);
     m.def("resumed", &resumed);
     m.def("move", &move);
     m.def("correct", &correct);

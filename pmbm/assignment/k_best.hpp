@@ -51,20 +51,24 @@ class KBest {
     // `takers` and `taken` the index into `costs` of a way and an option that it uses.
     std::int64_t choose(const Options& o, std::int64_t k, double margin, std::vector<double>& costs,
                         std::vector<std::int64_t>& takers, std::vector<std::int64_t>& taken) {
-        if (o.rows == 1) return choose_one(o, k, margin, costs, takers, taken);
+        if (o.rows <= 1) return choose_one(o, k, margin, costs, takers, taken);
         rows_ = static_cast<std::int32_t>(o.rows);
         width_ = static_cast<std::int32_t>(o.columns + o.rows);
         clear();
+        const auto entries = static_cast<std::size_t>(o.count + o.rows);
+        column_.resize(entries);
+        cost_.resize(entries);
         std::int64_t option = 0;
+        std::size_t entry = 0;
         for (std::int32_t row = 0; row < rows_; ++row) {
-            for (; option < o.count && o.row[option] == o.first_row + row; ++option) {
-                column_.push_back(static_cast<std::int32_t>(o.column[option] - o.first_column));
-                cost_.push_back(o.cost[option]);
+            for (; option < o.count && o.row[option] == o.first_row + row; ++option, ++entry) {
+                column_[entry] = static_cast<std::int32_t>(o.column[option] - o.first_column);
+                cost_[entry] = o.cost[option];
             }
             // Taking nothing is a column of the row's own.
-            column_.push_back(static_cast<std::int32_t>(o.columns) + row);
-            cost_.push_back(0.0);
-            start_.push_back(column_.size());
+            column_[entry] = static_cast<std::int32_t>(o.columns) + row;
+            cost_[entry++] = 0.0;
+            start_.push_back(entry);
         }
         prepare();
         const auto order = rank(k, margin);
@@ -75,7 +79,9 @@ class KBest {
                 if (column >= o.columns) continue;
                 takers.push_back(way);
                 // Every row before this one has one entry more than options.
-                taken.push_back(o.first + static_cast<std::int64_t>(entry_of(row, column)) - row);
+                const auto entry = found_entries_[i * static_cast<std::size_t>(rows_) +
+                                                  static_cast<std::size_t>(row)];
+                taken.push_back(o.first + static_cast<std::int64_t>(entry) - row);
             }
             costs.push_back(found_costs_[i]);
         }
@@ -83,7 +89,7 @@ class KBest {
     }
 
  private:
-    // choose() of a single row: its options, and nothing, in order of their costs.
+    // choose() of a single row, or none: its options, and nothing, in order of their costs.
     std::int64_t choose_one(const Options& o, std::int64_t k, double margin,
                             std::vector<double>& costs, std::vector<std::int64_t>& takers,
                             std::vector<std::int64_t>& taken) {
@@ -182,7 +188,9 @@ class KBest {
     std::int64_t k_ = 0;
     double margin_ = kInf;
 
+    // Of every solution, row by row: the columns held, and where these stand among the entries.
     std::vector<std::int32_t> found_columns_;
+    std::vector<std::size_t> found_entries_;
     std::vector<double> found_costs_;
 
     // Scratch of one search; between searches `distance_` is inf and `is_banned_` 0 everywhere.
@@ -248,14 +256,18 @@ class KBest {
         queue_.clear();
         cheapest_.clear();
         found_columns_.clear();
+        found_entries_.clear();
         found_costs_.clear();
     }
 
     void prepare() {
-        distance_.assign(width_, kInf);
-        column_slack_.assign(width_, kInf);
-        from_.assign(width_, kNone);
-        is_banned_.assign(cost_.size(), 0);
+        const auto width = static_cast<std::size_t>(width_);
+        if (distance_.size() < width) {
+            distance_.resize(width, kInf);
+            column_slack_.resize(width);
+            from_.resize(width);
+        }
+        if (is_banned_.size() < cost_.size()) is_banned_.resize(cost_.size(), 0);
     }
 
     // Finds the k best within `margin` of the best; gives their order among the found ones.
@@ -441,11 +453,9 @@ class KBest {
         const auto t = tables(node);
         double total = 0;
         for (std::int32_t row = 0; row < rows_; ++row) {
-            const auto begin = column_.begin() + static_cast<std::ptrdiff_t>(start_[row]);
-            const auto end = column_.begin() + static_cast<std::ptrdiff_t>(start_[row + 1]);
-            const auto at = std::lower_bound(begin, end, t.held[row]) - column_.begin();
-            total = row ? total + cost_[static_cast<std::size_t>(at)]
-                        : cost_[static_cast<std::size_t>(at)];
+            const auto entry = entry_of(row, t.held[row]);
+            total = row ? total + cost_[entry] : cost_[entry];
+            found_entries_.push_back(entry);
         }
         nodes_[node].cost = total;
         found_costs_.push_back(total);

@@ -7,7 +7,7 @@ hypothesis before the scan; its *children* say, on top of it, which measurement 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
 from pmbm.filter.models import Sensor
 from pmbm.filter.scan import Scan
+from pmbm.filter.weights import log_of
 from pmbm.types import FloatArray
 
 LOG_TINY = -700.0
@@ -41,6 +42,11 @@ class Pairs:
     log_weight: FloatArray
     innovation: Innovation
 
+    def heavier(self, log_factor: FloatArray) -> Pairs:
+        """Of weights times exp(log_factor) (n,)."""
+        weight = self.log_weight + log_factor
+        return Pairs(self.row, self.measurement, self.y, weight, self.innovation)
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Priced:
@@ -60,10 +66,6 @@ class Priced:
 
     def log_density(self, z: FloatArray) -> FloatArray:
         """(M,) log of the sum of w P_D N(z) over the components in whose gate z lies."""
-        if compiled.native is not None:
-            return compiled.native.log_density(
-                *self.innovation.columns(), self.log_height, np.ascontiguousarray(z), self.gate
-            )
         pairs = self.pairs(z)
         if not len(pairs.row):
             return np.full(len(z), -np.inf)
@@ -121,7 +123,7 @@ def associate(
     local, table, z = density.local, density.hypotheses, scan.position
     detection, detection_if_seen, known_if_missed = sensor.of_tracks(local)
     known = _gated(
-        local.mean, local.cov, _log(local.existence * detection_if_seen), z, sensor, gate_threshold
+        local.mean, local.cov, local.existence * detection_if_seen, z, sensor, gate_threshold
     )
     existence_if_missed, not_seen = sensor.missed(local.existence, detection)
     log_missed = np.log(np.maximum(not_seen, math.exp(LOG_TINY)))
@@ -131,14 +133,14 @@ def associate(
     undetected, log_e = _first_detections(
         ppp, ppp.log_weight + _log(undetected_if_seen), z, sensor, gate_threshold
     )
-    log_first, log_clutter = log_e, _log(sensor.clutter)
+    log_first, log_clutter = log_e, np.full(len(z), log_of(sensor.clutter))
     if scan.first is not None:
         log_first = log_first + _log(scan.first[:, 0])
         log_clutter = log_clutter + _log(scan.first[:, 1])
     if scan.evidence is not None:
         log_first = log_first + _log(scan.said_of_first())
         said = scan.said_of_known(local.kind, known.row, known.measurement)
-        known = replace(known, log_weight=known.log_weight + np.maximum(_log(said), LOG_TINY))
+        known = known.heavier(np.maximum(_log(said), LOG_TINY))
     log_new = np.maximum(np.logaddexp(log_first, log_clutter), LOG_TINY)
 
     hypotheses, dropped = branch(
@@ -167,7 +169,7 @@ def associate(
     )
 
 
-def _log(value: FloatArray | float) -> FloatArray:
+def _log(value: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore"):
         return np.log(value)
 
@@ -175,14 +177,19 @@ def _log(value: FloatArray | float) -> FloatArray:
 def _gated(
     mean: FloatArray,
     cov: FloatArray,
-    log_prior: FloatArray,
+    prior: FloatArray,
     z: FloatArray,
     sensor: Sensor,
     threshold: float,
 ) -> Pairs:
-    """Pairs within the gate; a Gaussian that cannot be detected (-inf in `log_prior`) has none."""
+    """Pairs within the gate; a Gaussian that cannot be detected (0 in `prior`, r P_D) has none."""
+    if compiled.native is not None:
+        innovation_of, row, measurement, y, log_weight = compiled.native.gated(
+            mean, cov, sensor.R, prior, np.ascontiguousarray(z), threshold
+        )
+        return Pairs(row, measurement, y, log_weight, Innovation(*innovation_of))
     innovation = Innovation.of(mean, cov, sensor.R)
-    return _paired(innovation, log_prior + innovation.log_norm(), z, threshold)
+    return _paired(innovation, _log(prior) + innovation.log_norm(), z, threshold)
 
 
 def _paired(
@@ -201,6 +208,11 @@ def _first_detections(
     ppp: Mixture, log_detected: FloatArray, z: FloatArray, sensor: Sensor, threshold: float
 ) -> tuple[Priced, FloatArray]:
     """The PPP as first detections see it, and log e (M,)."""
+    if compiled.native is not None:
+        innovation_of, log_height, log_e = compiled.native.priced(
+            ppp.mean, ppp.cov, sensor.R, log_detected, np.ascontiguousarray(z), threshold
+        )
+        return Priced(Innovation(*innovation_of), log_height, threshold), log_e
     innovation = Innovation.of(ppp.mean, ppp.cov, sensor.R)
     priced = Priced(innovation, log_detected + innovation.log_norm(), threshold)
     return priced, priced.log_density(z)

@@ -35,9 +35,16 @@ struct ChildrenOf {
         if (end - first < 2) return;
         const double top = *std::max_element(log_weight.begin() + static_cast<long>(first),
                                              log_weight.end());
-        auto kept = first, use = first_use, kept_use = first_use;
-        for (auto child = first; child < end; ++child) {
-            const bool stays = log_weight[child] > log_threshold || log_weight[child] == top;
+        const auto stays_at = [&](std::size_t child) {
+            return log_weight[child] > log_threshold || log_weight[child] == top;
+        };
+        auto kept = first, use = first_use;
+        while (kept < end && stays_at(kept)) ++kept;
+        if (kept == end) return;
+        while (use < taker.size() && taker[use] < static_cast<std::int64_t>(kept)) ++use;
+        auto kept_use = use;
+        for (auto child = kept; child < end; ++child) {
+            const bool stays = stays_at(child);
             for (; use < taker.size() && taker[use] == static_cast<std::int64_t>(child); ++use) {
                 if (!stays) continue;
                 taker[kept_use] = static_cast<std::int64_t>(kept);
@@ -48,7 +55,6 @@ struct ChildrenOf {
             parent[kept] = parent[child];
             log_weight[kept++] = log_weight[child];
         }
-        if (kept == end) return;
         dropped += static_cast<std::int64_t>(end - kept);
         parent.resize(kept);
         log_weight.resize(kept);
@@ -97,18 +103,18 @@ inline ChildrenOf best_children(const TableView& parents, const PairsView& known
             return a.measurement != b.measurement ? a.measurement < b.measurement
                                                   : a.entry < b.entry;
         });
-        row.clear();
-        column.clear();
-        cost.clear();
+        row.resize(options.size());
+        column.resize(options.size());
+        cost.resize(options.size());
         costs.clear();
         std::int64_t rows = 0;
         for (std::size_t i = 0; i < options.size(); ++i) {
             const auto& o = options[i];
             rows += i == 0 || o.measurement != options[i - 1].measurement;
-            row.push_back(rows - 1);
-            column.push_back(o.entry - begin);
+            row[i] = rows - 1;
+            column[i] = o.entry - begin;
             const double missing = log_missed[parents.member[o.entry]];
-            cost.push_back(-(known.log_weight[o.pair] - missing - log_new[o.measurement]));
+            cost[i] = -(known.log_weight[o.pair] - missing - log_new[o.measurement]);
         }
         const auto cluster = parents.cluster[g];
         const double quota =

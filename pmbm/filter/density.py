@@ -4,7 +4,6 @@ clusters, a multi-Bernoulli mixture of detected ones (Pang & Radha 2021, Sec. 2.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +33,7 @@ class Origin:
     track: NDArray[np.int64]
     share: FloatArray
 
-    def take(self, rows: Any) -> Origin:
+    def take(self, rows: Index) -> Origin:
         return Origin(self.track[rows], self.share[rows])
 
     @staticmethod
@@ -97,11 +96,11 @@ class Mixture:
     def __len__(self) -> int:
         return len(self.log_weight)
 
-    def take(self, rows: Any) -> Mixture:
+    def take(self, rows: Index) -> Mixture:
         return Mixture(
-            self.log_weight[rows],
-            self.mean[rows],
-            self.cov[rows],
+            self.log_weight.take(rows, axis=0),
+            self.mean.take(rows, axis=0),
+            self.cov.take(rows, axis=0),
             None if self.origin is None else self.origin.take(rows),
         )
 
@@ -158,18 +157,18 @@ class Locals:
     def __len__(self) -> int:
         return len(self.track)
 
-    def take(self, rows: Any) -> Locals:
+    def take(self, rows: Index) -> Locals:
         return Locals(
-            self.track[rows],
-            self.existence[rows],
-            self.mean[rows],
-            self.cov[rows],
-            self.box[rows],
-            self.label[rows],
-            self.history[rows],
-            None if self.confidence is None else self.confidence[rows],
-            None if self.kind is None else self.kind[rows],
-            None if self.seen is None else self.seen[rows],
+            self.track.take(rows, axis=0),
+            self.existence.take(rows, axis=0),
+            self.mean.take(rows, axis=0),
+            self.cov.take(rows, axis=0),
+            self.box.take(rows, axis=0),
+            self.label.take(rows, axis=0),
+            self.history.take(rows, axis=0),
+            None if self.confidence is None else self.confidence.take(rows, axis=0),
+            None if self.kind is None else self.kind.take(rows, axis=0),
+            None if self.seen is None else self.seen.take(rows, axis=0),
         )
 
     @staticmethod

@@ -78,6 +78,33 @@ struct Innovations {
     std::size_t count;
 };
 
+// Innovation.of() of gaussian.py, and what comes with it: the log of `prior` times the height of the
+// density of measurements.
+struct Expected {
+    std::vector<double> centre, l11, l21, l22, log_height;
+
+    // `prior` is a weight, or its log.
+    Expected(const double* mean, const double* cov, const double* R, const double* prior,
+             bool prior_is_log, std::size_t count)
+        : centre(2 * count), l11(count), l21(count), l22(count), log_height(count) {
+        const double log_2pi = std::log(2 * std::acos(-1.0));
+        for (std::size_t i = 0; i < count; ++i) {
+            const double *m = mean + 4 * i, *P = cov + 16 * i;
+            centre[2 * i] = m[0];
+            centre[2 * i + 1] = m[1];
+            l11[i] = std::sqrt(P[0] + R[0]);
+            l21[i] = (P[4] + R[2]) / l11[i];
+            l22[i] = std::sqrt(P[5] + R[3] - l21[i] * l21[i]);
+            const double log_prior = prior_is_log ? prior[i] : std::log(prior[i]);
+            log_height[i] = log_prior + (-log_2pi - std::log(l11[i]) - std::log(l22[i]));
+        }
+    }
+
+    Innovations view() const {
+        return {centre.data(), l11.data(), l21.data(), l22.data(), l11.size()};
+    }
+};
+
 // Calls visit(i, measurement, y0, y1) for every pair of squared distance below `threshold`, by
 // Gaussian, with the whitened innovation; a Gaussian's measurements come in no order.
 template <typename Visit>
@@ -89,7 +116,7 @@ void each_gated(const Innovations& g, const double* z, std::size_t measurements,
     const double reach = std::sqrt(threshold) * (1 + 1e-9);
     for (std::size_t i = 0; i < g.count; ++i) {
         const double x = g.expected[2 * i], y = g.expected[2 * i + 1];
-        grid.in_box(x, y, reach * g.l11[i], reach * std::hypot(g.l21[i], g.l22[i]),
+        grid.in_box(x, y, reach * g.l11[i], reach * std::sqrt(g.l21[i] * g.l21[i] + g.l22[i] * g.l22[i]),
                     [&](std::int64_t j) {
                         const double y0 = (z[2 * j] - x) / g.l11[i];
                         const double y1 = (z[2 * j + 1] - y - g.l21[i] * y0) / g.l22[i];
@@ -126,6 +153,29 @@ inline void gate(const Innovations& g, const double* z, std::size_t measurements
                    hits.push_back({j, y0, y1});
                });
     write_down();
+}
+
+// _gated() of association.py: the pairs of those that weigh something, and their log weights.
+inline void weigh(const Expected& g, std::vector<std::int64_t>& rows,
+                  std::vector<std::int64_t>& columns, std::vector<double>& whitened,
+                  std::vector<double>& log_weight) {
+    std::size_t kept = 0;
+    log_weight.resize(rows.size());
+    for (std::size_t i = 0; i < rows.size(); ++i) {
+        const double y0 = whitened[2 * i], y1 = whitened[2 * i + 1];
+        const double weight =
+            g.log_height[static_cast<std::size_t>(rows[i])] - 0.5 * (y0 * y0 + y1 * y1);
+        if (!(weight > -std::numeric_limits<double>::infinity())) continue;
+        rows[kept] = rows[i];
+        columns[kept] = columns[i];
+        whitened[2 * kept] = y0;
+        whitened[2 * kept + 1] = y1;
+        log_weight[kept++] = weight;
+    }
+    rows.resize(kept);
+    columns.resize(kept);
+    whitened.resize(2 * kept);
+    log_weight.resize(kept);
 }
 
 // log of the sum, over the Gaussians in whose gate a measurement lies, of exp(log_height) times the

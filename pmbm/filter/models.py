@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import ndtr
 
+from pmbm import compiled
 from pmbm.filter.density import Index, Locals, Mixture
 from pmbm.types import FloatArray, Site
 
@@ -42,10 +43,9 @@ def constant_velocity(dt: float, spectral_density: float) -> tuple[FloatArray, F
     The continuous form, so that predicting over a and then over b is predicting over a + b
     (Bar-Shalom, Li & Kirubarajan 2001, Sec. 6.2.2).
     """
-    F = np.eye(4)
-    F[0, 2] = F[1, 3] = dt
-    Q = np.diag([dt**3 / 3, dt**3 / 3, dt, dt])
-    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**2 / 2
+    a, b, c = dt**3 / 3, dt**2 / 2, dt
+    F = np.array([[1, 0, dt, 0], [0, 1, 0, dt], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64)
+    Q = np.array([[a, 0, b, 0], [0, a, 0, b], [b, 0, c, 0], [0, b, 0, c]], np.float64)
     return F, spectral_density * Q
 
 
@@ -95,6 +95,10 @@ class View:
         The sector's edges are taken as straight at the scale of the Gaussian, and the Gaussian as
         round: a soft edge rather than an exact integral.
         """
+        if compiled.native is not None:
+            return compiled.native.share_inside(
+                mean, cov, self.pose, self.centre, self.half_angle, self.max_range
+            )
         dx, dy = mean[:, 0] - self.pose[0], mean[:, 1] - self.pose[1]
         distance = np.hypot(dx, dy)
         sd = np.sqrt(np.maximum(cov[:, 0, 0] + cov[:, 1, 1], 1e-12) / 2)
@@ -227,6 +231,8 @@ class Sensor:
         """
         if self.scaled_misses:
             return r * (1 - P_D), 1 - P_D
+        if compiled.native is not None:
+            return compiled.native.missed(r, P_D)
         left = 1 - r * P_D
         # Missing what exists and is always seen is impossible; its r stays a number all the same.
         return np.where(left > 0, r * (1 - P_D) / np.where(left > 0, left, 1.0), 0.0), left
@@ -241,6 +247,14 @@ class Sensor:
         if self.visibility is None or seen is None:
             return seen
         return self.visibility.if_detected(seen)
+
+    def seen_if_missed(self, seen: FloatArray | None, P_D: FloatArray) -> FloatArray | None:
+        if self.visibility is None or seen is None:
+            return seen
+        if compiled.native is not None:
+            after: FloatArray = compiled.native.seen_if_missed(seen, P_D, self.visibility.unseen)
+            return after
+        return self.visibility.if_missed(seen, P_D)
 
     def boxed(self, before: FloatArray, detected: FloatArray) -> FloatArray:
         """Boxes (n,5) after detections: height and size with those before, the newest heading."""

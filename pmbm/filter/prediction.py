@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from pmbm import compiled
-from pmbm.filter.density import Density, Mixture, Origin
+from pmbm.filter.density import Density, Locals, Mixture, Origin
 from pmbm.filter.models import Transition
+from pmbm.filter.weights import log_of
 from pmbm.types import FloatArray
 
 
@@ -22,22 +21,26 @@ def predict(
 
     merge_births : whether births that come again and again at one place are one component.
     """
-    with np.errstate(divide="ignore"):
-        log_survival = np.log(transition.survival)
     ppp, local = density.undetected, density.local
     moved = _moved(ppp.mean, ppp.cov, transition)
-    survivors = Mixture(ppp.log_weight + log_survival, *moved, ppp.origin)
-    mean, cov = _moved(local.mean, local.cov, transition)
-    return replace(
-        density,
-        undetected=_merged(birth, survivors) if merge_births else Mixture.joined(survivors, birth),
-        local=replace(
-            local,
-            existence=local.existence * transition.survival,
-            mean=mean,
-            cov=cov,
-            seen=_seen(local.seen, transition),
+    survivors = Mixture(ppp.log_weight + log_of(transition.survival), *moved, ppp.origin)
+    return Density(
+        _merged(birth, survivors) if merge_births else Mixture.joined(survivors, birth),
+        Locals(
+            local.track,
+            local.existence * transition.survival,
+            *_moved(local.mean, local.cov, transition),
+            local.box,
+            local.label,
+            local.history,
+            local.confidence,
+            local.kind,
+            _seen(local.seen, transition),
         ),
+        density.hypotheses,
+        density.track_id,
+        density.detections_seen,
+        density.undetected_settled,
     )
 
 

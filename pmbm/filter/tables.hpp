@@ -8,6 +8,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <numeric>
 #include <utility>
 #include <vector>
 
@@ -354,6 +355,28 @@ inline Compacted compacted(const std::int64_t* member, std::size_t members,
     for (std::size_t e = 0; e < members; ++e) c.member.push_back(name[member[e]]);
     for (const auto row : c.rows) c.track.push_back(track_name[track[row]]);
     return c;
+}
+
+// _used() of update.py: of candidates in runs of these lengths, those that are members, counted from
+// the start of their run, and what the members are called among them.
+inline Ints used(const std::int64_t* member, std::size_t members,
+                 const std::vector<std::int64_t>& lengths, std::vector<Ints>& runs) {
+    Ints name(static_cast<std::size_t>(std::accumulate(lengths.begin(), lengths.end(),
+                                                       std::int64_t{0})), -1);
+    for (std::size_t e = 0; e < members; ++e) name[member[e]] = 0;
+    runs.assign(lengths.size(), {});
+    std::size_t candidate = 0;
+    std::int64_t called = 0;
+    for (std::size_t run = 0; run < lengths.size(); ++run) {
+        for (std::int64_t i = 0; i < lengths[run]; ++i, ++candidate) {
+            if (name[candidate] < 0) continue;
+            name[candidate] = called++;
+            runs[run].push_back(i);
+        }
+    }
+    Ints renumbered(members);
+    for (std::size_t e = 0; e < members; ++e) renumbered[e] = name[member[e]];
+    return renumbered;
 }
 
 // Of each track (T,) the row of the largest mass, the first of them.

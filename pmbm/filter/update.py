@@ -9,8 +9,6 @@ known track, detected         1                           Kalman update
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from pmbm import compiled
@@ -38,22 +36,35 @@ def update(density: Density, scan: Scan, association: Association, sensor: Senso
     table = association.hypotheses
     # Candidates: a missed version of every local hypothesis, a detected one of every pair, and a
     # new track of every measurement.  Those that no hypothesis uses are not worked out.
-    used = np.zeros(H + n + len(scan), bool)
-    used[table.member] = True
-    renumber = np.cumsum(used) - 1
-    new = np.flatnonzero(used[H + n :])
+    missed, detected, new, member = _used(table.member, H, n, len(scan))
     local = Locals.joined(
-        _missed(density.local, association, sensor, np.flatnonzero(used[:H])),
-        _detected(density.local, scan, association, sensor, np.flatnonzero(used[H : H + n])),
+        _missed(density.local, association, sensor, missed),
+        _detected(density.local, scan, association, sensor, detected),
         _first_detected(density, scan, association, sensor, new),
     )
     return Density(
         undetected=_still_undetected(density.undetected, association),
         local=local,
-        hypotheses=Globals(table.cluster, table.log_weight, table.start, renumber[table.member]),
+        hypotheses=Globals(table.cluster, table.log_weight, table.start, member),
         track_id=np.concatenate([density.track_id, ids_of_new(density, scan, association, new)]),
         detections_seen=density.detections_seen + len(scan),
         undetected_settled=density.undetected_settled,
+    )
+
+
+def _used(member: Index, H: int, n: int, M: int) -> tuple[Index, Index, Index, Index]:
+    """Of candidates H missed, n detected and M new, those that are members (E,) of a hypothesis,
+    and what the members are called among these."""
+    if compiled.native is not None:
+        missed, detected, new, renumbered = compiled.native.used(member, H, n, M)
+        return missed, detected, new, renumbered
+    used = np.zeros(H + n + M, bool)
+    used[member] = True
+    return (
+        np.flatnonzero(used[:H]),
+        np.flatnonzero(used[H : H + n]),
+        np.flatnonzero(used[H + n :]),
+        (np.cumsum(used) - 1)[member],
     )
 
 
@@ -66,16 +77,20 @@ def _still_undetected(ppp: Mixture, association: Association) -> Mixture:
 
 def _missed(local: Locals, association: Association, sensor: Sensor, rows: Index) -> Locals:
     mean, cov = association.known_if_missed
-    kept = replace(local, mean=mean, cov=cov).take(rows)
-    seen = kept.seen
-    if seen is not None and sensor.visibility is not None:
-        seen = sensor.visibility.if_missed(seen, association.detection[rows])
-    return replace(
-        kept,
-        existence=association.existence_if_missed[rows],
-        seen=seen,
-        history=_remember(kept.history, np.full(len(rows), MISSED)),
-    )
+    seen = sensor.seen_if_missed(local.seen, association.detection)
+    history = _remember(local.history, MISSED)
+    return Locals(
+        local.track,
+        association.existence_if_missed,
+        mean,
+        cov,
+        local.box,
+        local.label,
+        history,
+        local.confidence,
+        local.kind,
+        seen,
+    ).take(rows)
 
 
 def _detected(
@@ -157,8 +172,10 @@ def _fused(
     return mean, cov
 
 
-def _remember(history: np.ndarray, measurement: Index) -> np.ndarray:
-    """The history one step on, the oldest entry forgotten."""
+def _remember(history: np.ndarray, measurement: Index | int) -> np.ndarray:
+    """The history (n,L) one step on, without its oldest entry; measurement (n,), or one for all."""
     if not history.shape[1]:
         return history
-    return np.concatenate([history[:, 1:], measurement[:, None].astype(np.int32)], axis=1)
+    return np.column_stack([history[:, 1:], np.broadcast_to(measurement, len(history))]).astype(
+        np.int32
+    )

@@ -5,7 +5,9 @@
 #include "filter/gate.hpp"
 #include "filter/join.hpp"
 #include "filter/merge.hpp"
+#include "filter/rays.hpp"
 #include "filter/reduce.hpp"
+#include "filter/sensor.hpp"
 #include "filter/tables.hpp"
 
 #include <cmath>
@@ -365,6 +367,30 @@ void fuzz_gate() {
         }
     }
     require(at == rows.size(), "a pair out of the gate");
+    const bool is_log = chance() < 0.5;
+    pmbm::Floats prior(height);
+    if (!is_log) for (auto& one : prior) one = std::exp(one);
+    const double R[4] = {0.09, 0, 0, 0.09};
+    const pmbm::Expected own(mean.data(), cov.data(), R, prior.data(), is_log, n);
+    require(own.centre == expected && own.l11 == l11 && own.l21 == l21 && own.l22 == l22,
+            "an innovation of its own");
+    auto kept_rows = rows, kept_columns = columns;
+    auto kept_whitened = whitened;
+    pmbm::Floats log_weight;
+    pmbm::weigh(own, kept_rows, kept_columns, kept_whitened, log_weight);
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < rows.size(); ++i) {
+        if (height[rows[i]] == -kInf) continue;
+        require(kept < kept_rows.size() && kept_rows[kept] == rows[i] &&
+                    kept_columns[kept] == columns[i] &&
+                    kept_whitened[2 * kept + 1] == whitened[2 * i + 1] &&
+                    log_weight[kept] <= own.log_height[rows[i]],
+                "a possible pair is missing, or weighs too much");
+        ++kept;
+    }
+    require(kept == kept_rows.size() && kept == log_weight.size() &&
+                2 * kept == kept_whitened.size(),
+            "an impossible pair");
     const auto groups =
         pmbm::merge_groups(height.data(), mean.data(), cov.data(), n, threshold, chance());
     for (std::size_t i = 0; i < n; ++i) {
@@ -394,11 +420,105 @@ void fuzz_gate() {
         require(resumed[j] != 1 && resumed[j] != 3, "an id in use");
     }
     pmbm::Floats fused(4 * m, 7.0), spread_of(16 * m, 7.0);
-    const double R[4] = {0.09, 0, 0, 0.09};
     pmbm::fuse(g, height.data(), mean.data(), cov.data(), R, z.data(), total.data(), m, threshold,
                fused.data(), spread_of.data());
     for (const auto value : fused) require(std::isfinite(value), "a mean is not finite");
     for (const auto value : spread_of) require(std::isfinite(value), "a covariance is not finite");
+}
+
+void fuzz_candidates() {
+    const std::vector<std::int64_t> lengths{whole(0, 9), whole(0, 9), whole(0, 9)};
+    const auto all = static_cast<int>(lengths[0] + lengths[1] + lengths[2]);
+    pmbm::Ints member;
+    for (int e = all ? whole(0, 20) : 0; e > 0; --e) member.push_back(whole(0, all - 1));
+    std::vector<pmbm::Ints> runs;
+    const auto renumbered = pmbm::used(member.data(), member.size(), lengths, runs);
+    pmbm::Ints name;
+    std::int64_t first = 0;
+    for (std::size_t run = 0; run < runs.size(); first += lengths[run++]) {
+        for (const auto one : runs[run]) {
+            require(one >= 0 && one < lengths[run], "a candidate of another run");
+            name.push_back(first + one);
+        }
+    }
+    require(std::set<std::int64_t>(member.begin(), member.end()).size() == name.size(),
+            "a candidate that is used is missing");
+    for (std::size_t e = 0; e < member.size(); ++e) {
+        require(name[renumbered[e]] == member[e], "a candidate was renamed wrongly");
+    }
+}
+
+void fuzz_sensor() {
+    const auto n = static_cast<std::size_t>(whole(0, 20));
+    pmbm::Floats mean, cov, r, P_D, share(n), after(n), left(n);
+    for (std::size_t i = 0; i < n; ++i) {
+        for (int a = 0; a < 4; ++a) mean.push_back(200 * chance() - 100);
+        for (int a = 0; a < 16; ++a) cov.push_back(a % 5 ? 0.0 : (chance() < 0.1 ? 0.0 : 9 * chance()));
+        r.push_back(chance() < 0.2 ? 1.0 : chance());
+        P_D.push_back(chance() < 0.2 ? whole(0, 1) : chance());
+    }
+    const double pose[3] = {10 * chance(), 10 * chance(), 20 * chance() - 10};
+    const double half_angle = chance() < 0.3 ? std::acos(-1.0) : 0.1 + 3 * chance();
+    pmbm::share_inside(mean.data(), cov.data(), n, {pose, 6 * chance() - 3, half_angle, 60},
+                       share.data());
+    for (const auto one : share) require(one >= 0 && one <= 1, "a share beyond all there is");
+    pmbm::missed(r.data(), P_D.data(), n, after.data(), left.data());
+    for (std::size_t i = 0; i < n; ++i) {
+        require(after[i] >= 0 && after[i] <= r[i], "a miss made existence likelier");
+        require(left[i] >= 0 && left[i] <= 1, "the weight of a miss");
+    }
+    // P_D over both states is at most that of what is seen.
+    const double unseen = chance();
+    for (std::size_t i = 0; i < n; ++i) P_D[i] *= r[i] + (1 - r[i]) * unseen;
+    pmbm::seen_if_missed(r.data(), P_D.data(), n, unseen, after.data());
+    for (std::size_t i = 0; i < n; ++i) {
+        require(after[i] >= 0 && after[i] <= r[i] + 1e-12, "a miss made being seen likelier");
+    }
+}
+
+void fuzz_rays() {
+    const auto boxes = static_cast<std::size_t>(whole(0, 20));
+    const auto bearings = whole(1, 800);
+    pmbm::Floats offset, box, widen, cos, sin;
+    for (int i = 0; i < bearings; ++i) {
+        cos.push_back(std::cos((i + 0.5) * 2 * pmbm::kPi / bearings));
+        sin.push_back(std::sin((i + 0.5) * 2 * pmbm::kPi / bearings));
+    }
+    for (std::size_t b = 0; b < boxes; ++b) {
+        const double far = std::pow(10.0, whole(-3, 4));
+        offset.push_back(far * (2 * chance() - 1));
+        offset.push_back(chance() < 0.1 ? 0.0 : far * (2 * chance() - 1));
+        box.push_back(0);
+        for (int i = 0; i < 3; ++i) box.push_back(chance() < 0.1 ? 0.0 : 12 * chance());
+        box.push_back(20 * chance() - 10);
+        widen.push_back(chance() < 0.5 ? 0.0 : 5 * chance());
+    }
+    const double yaw = 20 * chance() - 10;
+    const auto rays = pmbm::box_rays(offset.data(), box.data(), widen.data(), boxes, yaw, {cos.data(), sin.data(), bearings});
+    require(rays.first.size() == boxes + 1 && rays.margin.size() == boxes &&
+                rays.cores.size() == boxes && rays.bearing.size() == rays.distance.size() &&
+                rays.first.back() == static_cast<std::int64_t>(rays.bearing.size()),
+            "rays of no box");
+    for (std::size_t b = 0; b < boxes; ++b) {
+        const auto first = rays.first[b], last = rays.first[b + 1];
+        require(last >= first && rays.margin[b] >= 0, "a run of rays that ends before it begins");
+        require(last == first ? rays.cores[b] == 0
+                              : rays.cores[b] > 0 && rays.margin[b] + rays.cores[b] <= last - first,
+                "a core beyond the rays");
+        const double range = std::hypot(offset[2 * b], offset[2 * b + 1]);
+        const double along = std::abs(std::sin(box[5 * b + 4] - yaw) * offset[2 * b + 1] +
+                                      std::cos(box[5 * b + 4] - yaw) * offset[2 * b]);
+        const double across = std::sqrt(std::max(0.0, range * range - along * along));
+        require(last == first || 2.001 * along > box[5 * b + 1] || 2.001 * across > box[5 * b + 2],
+                "a box around the sensor has rays");
+        for (auto ray = first; ray < last; ++ray) {
+            require(rays.bearing[ray] >= 0 && rays.bearing[ray] < bearings, "no such bearing");
+            require(rays.distance[ray] > 0 && rays.distance[ray] <= range + 12,
+                    "a ray meets its box too far away");
+            require(ray == first || rays.bearing[ray] == (rays.bearing[ray - 1] + 1) % bearings,
+                    "bearings that are not consecutive");
+        }
+    }
 }
 
 }  // namespace
@@ -417,6 +537,9 @@ int main(int argc, char** argv) {
         fuzz_tables();
         fuzz_reduction();
         fuzz_gate();
+        fuzz_candidates();
+        fuzz_sensor();
+        fuzz_rays();
         if (!small) continue;
         std::vector<double> totals;
         std::vector<bool> used(static_cast<std::size_t>(p.width));

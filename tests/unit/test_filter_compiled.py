@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 
 from pmbm import Detections, PMBMConfig, PMBMTracker, Site, compiled
-from pmbm.filter.association import associate
+from pmbm.filter.association import _first_detections, _gated, associate
 from pmbm.filter.branching import branch
 from pmbm.filter.clusters import factor, merge_equal
 from pmbm.filter.density import Density, Globals, Locals, Mixture, Origin, starts
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
-from pmbm.filter.models import Sensor
+from pmbm.filter.marks import Visibility
+from pmbm.filter.models import Sensor, View
 from pmbm.filter.rays import box_rays
 from pmbm.filter.reduction import Limits, _pruned, merge_mixture, reduce
 from pmbm.filter.resumption import ids_of_new
 from pmbm.filter.scan import Scan
+from pmbm.filter.update import _used
 from pmbm.filter.weights import normalised
 from pmbm.types import ABSENT
 
@@ -84,6 +86,77 @@ def test_gates_where_measurements_lie_oddly(monkeypatch, z):
     assert len(fast[0])
     for one, other in zip(fast, plain, strict=True):
         assert one.tolist() == other.tolist()
+
+
+def test_pairs_and_first_detections_are_priced_alike(monkeypatch):
+    """Some Gaussians cannot be detected, and some measurements lie in no gate."""
+    random = np.random.default_rng(4)
+    n = 200
+    mean = np.concatenate([random.uniform(-40, 40, (n, 2)), np.zeros((n, 2))], axis=1)
+    root = random.normal(size=(n, 4, 4)) * np.where(np.arange(n) % 50, 1.0, 30.0)[:, None, None]
+    cov = root @ root.transpose(0, 2, 1)
+    weight = np.where(random.random(n) < 0.2, 0.0, random.random(n))
+    z = random.uniform(-60, 60, (300, 2))
+    z[:30] += 900
+    sensor = Sensor(R=np.array([[0.09, 0.02], [0.02, 0.2]]), detection=0.9, clutter=1e-3)
+    fast, plain = on_both(monkeypatch, lambda: _gated(mean, cov, weight, z, sensor, 9.0))
+    possible = np.flatnonzero(weight)
+    assert len(np.intersect1d(plain.row, possible)) == len(np.unique(plain.row)) > 100
+    for name in ("row", "measurement", "y"):
+        np.testing.assert_array_equal(getattr(fast, name), getattr(plain, name))
+    np.testing.assert_allclose(fast.log_weight, plain.log_weight, rtol=1e-13)
+    for one, other in zip(fast.innovation.columns(), plain.innovation.columns(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+    with np.errstate(divide="ignore"):
+        ppp, log_weight = Mixture(np.zeros(n), mean, cov), np.log(weight)
+    (priced, log_e), (plainly, log_plainly) = on_both(
+        monkeypatch, lambda: _first_detections(ppp, log_weight, z, sensor, 9.0)
+    )
+    assert 0 < np.isinf(log_e).sum() < 200
+    np.testing.assert_allclose(log_e, log_plainly, rtol=1e-12)
+    np.testing.assert_allclose(priced.log_height, plainly.log_height, rtol=1e-13)
+    for one, other in zip(priced.innovation.columns(), plainly.innovation.columns(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("half_angle", [np.pi, 0.7, 3.0])
+def test_shares_in_view_as_plain(monkeypatch, half_angle):
+    random = np.random.default_rng(6)
+    mean = random.normal(0, 30, (300, 4))
+    cov = random.exponential(5, (300, 1, 1)) * np.eye(4)
+    cov[::50] = 0
+    view = View(np.array([1.0, -2.0, 2.5]), 1.2, half_angle, 50.0)
+    fast, plain = on_both(monkeypatch, lambda: view.share_inside(mean, cov))
+    assert ((plain > 0.1) & (plain < 0.9)).sum() > 10
+    np.testing.assert_allclose(fast, plain, rtol=1e-12, atol=1e-15)
+
+
+def test_misses_say_the_same(monkeypatch):
+    """Among them what exists for sure and is always seen, and what is never seen."""
+    random = np.random.default_rng(7)
+    r, P_D = random.random(200), random.random(200)
+    r[:40], P_D[20:60], P_D[80:90] = 1.0, 1.0, 0.0
+    sensor = Sensor(
+        R=np.eye(2),
+        detection=0.9,
+        clutter=1e-3,
+        visibility=Visibility(unseen=0.1, stay_seen=0.97, stay_unseen=0.8),
+    )
+    fast, plain = on_both(monkeypatch, lambda: sensor.missed(r, P_D))
+    for one, other in zip(fast, plain, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-14)
+    fast, plain = on_both(monkeypatch, lambda: sensor.seen_if_missed(r, P_D))
+    np.testing.assert_allclose(fast, plain, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("H", "n", "M"), [(0, 0, 0), (5, 0, 0), (0, 0, 4), (9, 7, 30)])
+def test_candidates_in_use_are_named_alike(monkeypatch, H, n, M):
+    random = np.random.default_rng(8)
+    member = random.integers(0, max(H + n + M, 1), 25 if H + n + M else 0)
+    fast, plain = on_both(monkeypatch, lambda: _used(member, H, n, M))
+    for one, other in zip(fast, plain, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def frames(seed, count=40, objects=25):
