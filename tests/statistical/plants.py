@@ -150,18 +150,15 @@ FILTER_PLANTS = [
     _filter(
         "Q in the order x, vx, y, vy",
         "models",
-        "    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**2 / 2\n",
-        "    Q = np.diag([dt**3 / 3, dt, dt**3 / 3, dt])\n"
-        "    Q[0, 1] = Q[1, 0] = Q[2, 3] = Q[3, 2] = dt**2 / 2\n",
+        "    Q = np.array([[a, 0, b, 0], [0, a, 0, b], [b, 0, c, 0], [0, b, 0, c]], np.float64)\n",
+        "    Q = np.array([[a, b, 0, 0], [b, c, 0, 0], [0, 0, a, b], [0, 0, b, c]], np.float64)\n",
         by="tests/unit/test_filter_models.py::test_process_noise_is_the_continuous_one[0.05]",
     ),
     _filter(
         "Q of the discrete form",
         "models",
-        "    Q = np.diag([dt**3 / 3, dt**3 / 3, dt, dt])\n"
-        "    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**2 / 2\n",
-        "    Q = np.diag([dt**4 / 4, dt**4 / 4, dt**2, dt**2])\n"
-        "    Q[0, 2] = Q[2, 0] = Q[1, 3] = Q[3, 1] = dt**3 / 2\n",
+        "a, b, c = dt**3 / 3, dt**2 / 2, dt\n",
+        "a, b, c = dt**4 / 4, dt**3 / 2, dt**2\n",
         by="tests/unit/test_filter_models.py::test_process_noise_is_the_continuous_one[0.05]",
     ),
     _filter(
@@ -216,7 +213,7 @@ FILTER_PLANTS = [
     _filter(
         "no survival for undetected objects",
         "prediction",
-        "Mixture(ppp.log_weight + log_survival, ",
+        "Mixture(ppp.log_weight + log_of(transition.survival), ",
         "Mixture(ppp.log_weight, ",
         by="tests/unit/test_filter_models.py::test_predicting_twice_is_predicting_once",
     ),
