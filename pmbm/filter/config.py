@@ -86,6 +86,9 @@ class PMBMConfig:
 
     Output
     report_above : a track is reported when its probability of existence exceeds this, in [0, 1].
+    overlap : a track is held back where its box, seen from above, and that of one known for longer
+        have an intersection over union above this, in [0, 1]: two objects are never at one place;
+        1 holds none back.
     keep_above : the batch mode keeps a track whose probability, as of its last detection, exceeds
         this, in [0, 1].
     history : steps of association history kept per hypothesis, to look at, >= 0.
@@ -126,6 +129,7 @@ class PMBMConfig:
     clustering: bool = True
     split_below: float = 1e-3
     report_above: float = 0.5
+    overlap: float = 1.0
     keep_above: float = 0.5
     history: int = 0
 
@@ -252,6 +256,7 @@ _BOUNDS: dict[str, tuple[float, float, bool, bool]] = {
     "max_undetected": _COUNT,
     "split_below": _NOT_NEGATIVE,
     "report_above": _PROBABILITY,
+    "overlap": _PROBABILITY,
     "keep_above": _PROBABILITY,
     "history": (0, np.inf, False, True),
 }

@@ -9,10 +9,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pmbm import compiled
 from pmbm.filter.density import Density, Index, summed
-from pmbm.types import FloatArray
+from pmbm.geometry import paired_iou
+from pmbm.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -43,6 +45,25 @@ def marginals(density: Density, object_share: FloatArray | None = None) -> Margi
         return Marginals(existence, existence, best)
     real = summed(mass * (local.kind @ object_share), local.track, tracks)
     return Marginals(existence, real.clip(max=existence), best)
+
+
+def apart(position: FloatArray, box: FloatArray, overlap: float) -> BoolArray:
+    """(N,) which of N reports, the longest known first, stand: not those whose box overlaps that of
+    one that stands by more than `overlap`, an intersection over union from above.
+
+    position (N,2); box (N,5) : z, length, width, height, yaw.
+    """
+    stands = np.ones(len(position), bool)
+    if overlap >= 1 or len(position) < 2:
+        return stands
+    reach = np.hypot(box[:, 1], box[:, 2]).max()
+    older, newer = cKDTree(position).query_pairs(reach, output_type="ndarray").T
+    sides = ((position[rows], box[rows, 1:4], box[rows, 4]) for rows in (older, newer))
+    crowded = paired_iou(*next(sides), *next(sides), vertical=False) > overlap
+    pairs = np.column_stack([newer, older])[crowded]
+    for second, first in pairs[np.lexsort(pairs.T[::-1])].tolist():
+        stands[second] &= not stands[first]
+    return stands
 
 
 def best_hypothesis(density: Density, threshold: float = 0.4) -> Index:

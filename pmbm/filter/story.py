@@ -200,7 +200,9 @@ def _ending(track_id: int, seen: Inspection, tracks: Tracks) -> str:
         reasons.append(
             f"it is probably outside the field of view (inside with {seen.in_view[track]:.2f})"
         )
-    return f"{head} not reported: {' and '.join(reasons) or 'the tracker held it back'}."
+    if not reasons:
+        reasons.append("a track known for longer is reported at its place")
+    return f"{head} not reported: {' and '.join(reasons)}."
 
 
 def _known(inspections: Sequence[Inspection], steps: Sequence[Tracks]) -> str:

@@ -13,7 +13,7 @@ from pmbm.errors import InputError
 from pmbm.filter.association import associate
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
-from pmbm.filter.estimation import marginals
+from pmbm.filter.estimation import apart, marginals
 from pmbm.filter.inspection import Inspection, inspect
 from pmbm.filter.marks import GHOST, Seen
 from pmbm.filter.models import (
@@ -304,6 +304,9 @@ class PMBMTracker:
         best = marginal.best[reported]
         inside = view.share_inside(density.local.mean[best], density.local.cov[best]) > 0.5
         reported, local = reported[inside], density.local.take(best[inside])
+        stands = np.flatnonzero(apart(local.mean[:, :2], local.box, self.config.overlap))
+        if len(stands) < len(local):
+            reported, local = reported[stands], local.take(stands)
         return vouched(
             Tracks,
             time=self._time,
