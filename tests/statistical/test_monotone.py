@@ -33,6 +33,9 @@ LARGEST = {"density": 50, "density_scripted": 100}
 METRIC = {"heading_flip": "yaw_flips"}
 """What is measured where GOSPA, a matter of positions, does not feel the factor."""
 TRACKERS = ("pmbm", "argoverse")
+LOST = {"small_agents": ("argoverse",)}
+"""Trackers that a scenario's null level defeats already: people 2 m apart are too many for boxes
+matched by overlap, and the nearer together, the nearer a wrong track is to somebody."""
 
 MONOTONE = [
     name
@@ -86,21 +89,22 @@ def test_no_harder_level_is_easier(name, verified):
     scenario = Scenario({**whole.document, "duration": seconds}, whole.file)
     levels = [level for level in scenario.levels if level <= LARGEST.get(name, np.inf)]
     metric = METRIC.get(name, "gospa")
-    errors = np.zeros((len(TRACKERS), len(levels), SEEDS))
+    trackers = [one for one in TRACKERS if one not in LOST.get(name, ())]
+    errors = np.zeros((len(trackers), len(levels), SEEDS))
     for row, level in enumerate(levels):
         for seed in range(SEEDS):
             recording = scenario.record(seed, level=level)
-            for which, tracker in enumerate(TRACKERS):
+            for which, tracker in enumerate(trackers):
                 tracks = run(make_tracker(tracker_factory(tracker), recording.site), recording)
                 errors[which, row, seed] = evaluate(recording, tracks)[metric].value
     easier = {
         tracker: improved(of_tracker, ALPHA / len(MONOTONE) / len(TRACKERS))
-        for tracker, of_tracker in zip(TRACKERS, errors, strict=True)
+        for tracker, of_tracker in zip(trackers, errors, strict=True)
     }
     means = "; ".join(
         f"{tracker} "
         + ", ".join(f"{level:g}: {m:.3f}" for level, m in zip(levels, of, strict=True))
-        for tracker, of in zip(TRACKERS, errors.mean(axis=2), strict=True)
+        for tracker, of in zip(trackers, errors.mean(axis=2), strict=True)
     )
     verified(
         f"monotone_{name}",
