@@ -9,6 +9,7 @@
 
 #include "assignment/k_best.hpp"
 #include "filter/branch.hpp"
+#include "filter/exclusion.hpp"
 #include "filter/gate.hpp"
 #include "filter/merge.hpp"
 #include "filter/rays.hpp"
@@ -158,6 +159,12 @@ nb::tuple missed(Input<double> r, Input<double> P_D) {
     std::vector<double> existence(r.size()), left(r.size());
     pmbm::missed(r.data(), P_D.data(), r.size(), existence.data(), left.data());
     return nb::make_tuple(hand_over(std::move(existence)), hand_over(std::move(left)));
+}
+
+Output<std::int64_t> standing(Table<double> position, Table<double> box, Input<std::int64_t> order,
+                              double larger) {
+    return hand_over(
+        pmbm::standing(position.data(), box.data(), order.data(), order.size(), larger));
 }
 
 Output<double> seen_if_missed(Input<double> seen, Input<double> P_D, double unseen) {
@@ -323,6 +330,7 @@ NB_MODULE(_native, m) {
     m.def("share_inside", &share_inside);
     m.def("missed", &missed);
     m.def("seen_if_missed", &seen_if_missed);
+    m.def("standing", &standing);
     m.def("used", &used);
     m.def("resumed", &resumed);
     m.def("move", &move);

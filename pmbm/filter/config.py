@@ -36,7 +36,8 @@ class PMBMConfig:
     Scores (Sec. 2.6; the paper names the ideas and gives no formulas)
     scores : "ignore"; "first": they scale existence and weight of objects detected for the first
         time, r = s e / (s e + (1 - s) lambda_c), as the paper does; "everywhere": they count as
-        likelihood ratios of object against clutter in every branch.
+        likelihood ratios of object against clutter in every branch; "lasting": that too, and a
+        source that scores low again and again is probably no object (`Levels.at_their_word`).
     score_model : what a score means; None takes scores at their word (`ScoreModel.trusting()`).
     detection_from_scores : "off"; "rising" or "falling": P_D of a track lies between
         `detection_low` and `detection_high`, after the running mean of its past scores.
@@ -86,9 +87,9 @@ class PMBMConfig:
 
     Output
     report_above : a track is reported when its probability of existence exceeds this, in [0, 1].
-    overlap : a track is held back where its box, seen from above, and that of one known for longer
-        have an intersection over union above this, in [0, 1]: two objects are never at one place;
-        1 holds none back.
+    exclusive : whether a track is held back where another is reported at its place, the centre of
+        one in the box of the other: two objects are never at one place.  The one known for longer
+        is reported, or the whole instead of its part.
     keep_above : the batch mode keeps a track whose probability, as of its last detection, exceeds
         this, in [0, 1].
     history : steps of association history kept per hypothesis, to look at, >= 0.
@@ -101,7 +102,7 @@ class PMBMConfig:
     detection_probability: float = 0.95
     clutter_rate: float = 5.0
     occlusion: bool = True
-    scores: Literal["ignore", "first", "everywhere"] = "everywhere"
+    scores: Literal["ignore", "first", "everywhere", "lasting"] = "lasting"
     score_model: ScoreModel | None = None
     detection_from_scores: Literal["off", "rising", "falling"] = "off"
     detection_low: float = 0.7
@@ -129,7 +130,7 @@ class PMBMConfig:
     clustering: bool = True
     split_below: float = 1e-3
     report_above: float = 0.5
-    overlap: float = 1.0
+    exclusive: bool = True
     keep_above: float = 0.5
     history: int = 0
 
@@ -214,6 +215,7 @@ _TEXTBOOK: dict[str, Any] = {
     "occlusion": False,
     "visibility": None,
     "detection_probability": 0.9,
+    "exclusive": False,
 }
 _PAPER: dict[str, Any] = {
     "scores": "first",
@@ -222,7 +224,7 @@ _PAPER: dict[str, Any] = {
 }
 _OBJECTS = {"score_model": ScoreModel, "kinds": Kinds, "levels": Levels, "visibility": Visibility}
 _CHOICES = {
-    "scores": ("ignore", "first", "everywhere"),
+    "scores": ("ignore", "first", "everywhere", "lasting"),
     "detection_from_scores": ("off", "rising", "falling"),
     "miss_rule": ("bayes", "scaled"),
 }
@@ -256,7 +258,6 @@ _BOUNDS: dict[str, tuple[float, float, bool, bool]] = {
     "max_undetected": _COUNT,
     "split_below": _NOT_NEGATIVE,
     "report_above": _PROBABILITY,
-    "overlap": _PROBABILITY,
     "keep_above": _PROBABILITY,
     "history": (0, np.inf, False, True),
 }

@@ -12,26 +12,32 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pmbm import compiled
-from pmbm.filter.density import Density, Index, summed
-from pmbm.geometry import paired_iou
-from pmbm.types import BoolArray, FloatArray
+from pmbm.filter.density import Density, Index, Locals, summed
+from pmbm.types import FloatArray, IntArray
+
+_WHOLE = 1.5
+"""A box this many times as large as another at its place is the whole of which that is a part."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Marginals:
-    """Per track: existence (T,), over all hypotheses; object (T,), existence and not a ghost; and
-    best (T,), the row of its most probable local hypothesis."""
+    """Per track: existence (T,), over all hypotheses; of_kind (T,K), that of a source of each kind,
+    or None without kinds; and best (T,), the row of its most probable local hypothesis."""
 
     existence: FloatArray
-    object: FloatArray
+    of_kind: FloatArray | None
     best: Index
 
+    def objects(self, object_share: FloatArray | None) -> FloatArray:
+        """(T,) the probability to exist and be an object, given P(object) (K,) of a source of each
+        kind; None, all are objects."""
+        if self.of_kind is None or object_share is None:
+            return self.existence
+        return np.minimum(self.of_kind @ object_share, self.existence)
 
-def marginals(density: Density, object_share: FloatArray | None = None) -> Marginals:
-    """Existence of every track summed over the global hypotheses, and its likeliest state.
 
-    object_share (K,) : P(object) of a source of each kind; None, all are objects.
-    """
+def marginals(density: Density) -> Marginals:
+    """Existence of every track summed over the global hypotheses, and its likeliest state."""
     local, tracks = density.local, len(density.track_id)
     mass = density.hypothesis_probability() * local.existence
     existence = summed(mass, local.track, tracks)
@@ -40,30 +46,56 @@ def marginals(density: Density, object_share: FloatArray | None = None) -> Margi
     else:
         order = np.lexsort((-mass, local.track))
         best = order[np.flatnonzero(np.diff(local.track[order], prepend=-1))]
-    existence = existence.clip(max=1.0)
-    if local.kind is None or object_share is None:
-        return Marginals(existence, existence, best)
-    real = summed(mass * (local.kind @ object_share), local.track, tracks)
-    return Marginals(existence, real.clip(max=existence), best)
+    return Marginals(existence.clip(max=1.0), _by_kind(local, mass, tracks), best)
 
 
-def apart(position: FloatArray, box: FloatArray, overlap: float) -> BoolArray:
-    """(N,) which of N reports, the longest known first, stand: not those whose box overlaps that of
-    one that stands by more than `overlap`, an intersection over union from above.
+def _by_kind(local: Locals, mass: FloatArray, tracks: int) -> FloatArray | None:
+    if local.kind is None:
+        return None
+    kinds = local.kind.shape[1]
+    cell = local.track[:, None] * kinds + np.arange(kinds)
+    of_kind = summed((mass[:, None] * local.kind).ravel(), cell.ravel(), tracks * kinds)
+    return of_kind.reshape(tracks, kinds)
 
-    position (N,2); box (N,5) : z, length, width, height, yaw.
+
+def apart(position: FloatArray, box: FloatArray, known_since: IntArray) -> Index:
+    """Rows of the reports that stand where two are never at one place, the centre of one in the box
+    of the other.
+
+    The one known for longer stands, or the whole instead of its parts: trucks are seen in halves.
+
+    position (N,2); box (N,5) : z, length, width, height, yaw; known_since (N,) : smaller is longer.
     """
-    stands = np.ones(len(position), bool)
-    if overlap >= 1 or len(position) < 2:
-        return stands
-    reach = np.hypot(box[:, 1], box[:, 2]).max()
-    older, newer = cKDTree(position).query_pairs(reach, output_type="ndarray").T
-    sides = ((position[rows], box[rows, 1:4], box[rows, 4]) for rows in (older, newer))
-    crowded = paired_iou(*next(sides), *next(sides), vertical=False) > overlap
-    pairs = np.column_stack([newer, older])[crowded]
-    for second, first in pairs[np.lexsort(pairs.T[::-1])].tolist():
-        stands[second] &= not stands[first]
-    return stands
+    order = np.argsort(known_since, kind="stable")
+    if compiled.native is not None:
+        rows: Index = compiled.native.standing(position, box, order, _WHOLE)
+        return rows
+    area, stands = box[:, 1] * box[:, 2], np.zeros(len(position), bool)
+    rivals_of = _at_one_place(position, box)
+    for b in order.tolist():
+        rivals = [a for a in rivals_of.get(b, []) if stands[a]]
+        if all(area[b] > _WHOLE * area[a] for a in rivals):
+            stands[rivals], stands[b] = False, True
+    return np.flatnonzero(stands)
+
+
+def _at_one_place(position: FloatArray, box: FloatArray) -> dict[int, list[int]]:
+    """Of each row, the others in whose box its centre is, or whose centre is in its."""
+    rivals: dict[int, list[int]] = {}
+    if len(position) < 2:
+        return rivals
+    reach = np.hypot(box[:, 1], box[:, 2]).max() / 2
+    first, second = cKDTree(position).query_pairs(reach, output_type="ndarray").T
+    between = position[second] - position[first]
+    near = np.zeros(len(first), bool)
+    for rows in (first, second):
+        c, s = np.cos(box[rows, 4]), np.sin(box[rows, 4])
+        along, across = c * between[:, 0] + s * between[:, 1], c * between[:, 1] - s * between[:, 0]
+        near |= (np.abs(along) < box[rows, 1] / 2) & (np.abs(across) < box[rows, 2] / 2)
+    for a, b in zip(first[near].tolist(), second[near].tolist(), strict=True):
+        rivals.setdefault(a, []).append(b)
+        rivals.setdefault(b, []).append(a)
+    return rivals
 
 
 def best_hypothesis(density: Density, threshold: float = 0.4) -> Index:

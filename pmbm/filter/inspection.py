@@ -130,7 +130,7 @@ def inspect(
     local, table = density.local, density.hypotheses
     cluster = np.zeros(len(density.track_id), np.intp)
     cluster[local.track[table.member]] = np.repeat(table.cluster, np.diff(table.start))
-    marginal = marginals(density, object_share)
+    marginal = marginals(density)
     best = local.take(marginal.best)
     view = sensor.view
     return Inspection(
@@ -138,7 +138,7 @@ def inspect(
         expected_undetected=float(np.exp(density.undetected.log_weight).sum()),
         track_id=density.track_id,
         existence=marginal.existence,
-        object=marginal.object,
+        object=marginal.objects(object_share),
         in_view=np.ones(len(best)) if view is None else view.share_inside(best.mean, best.cov),
         report_above=report_above,
         cluster=cluster,

@@ -26,6 +26,8 @@ _LABELS = len(Label)
 GHOST = _LABELS
 """First column of the ghosts among the kinds: the labels come first, then their ghosts."""
 _KINDS = 2 * _LABELS
+_SUREST = 4.0
+"""Log-odds beyond which a single score says no more."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -123,12 +125,13 @@ class Levels:
     after frame they say the same again.  The tracker learns a source's level, and the level says
     how probably the source is an object; a long life makes the level certain, not the object.
 
-    label : of the sources; detections of other labels count as rivals alone.
+    label : of the sources; detections of other labels count as rivals alone.  None, of any.
     calibration : log-odds of detections, whose scale the levels are on.
     level (L,) : log-odds, rising.  scatter : sd of a detection's log-odds about its source's level.
     birth (L,) : share of new sources that have each level; adds up to one.
     object (L,) : P(object | level), in [0, 1].
     clutter (L,) : shares of levels in detections that come from no lasting source; adds up to one.
+        None, the log-odds say themselves how much likelier a new source is than such a detection.
     usual : objects in view at a time, on average where the levels were fitted, > 0; None, how many
         a scene holds says nothing of its sources.
     memory : s of looking that this average is worth against what a scene shows, > 0.
@@ -138,13 +141,13 @@ class Levels:
     from the expected number of objects in view (`Seen`).
     """
 
-    label: int
-    calibration: Calibration
+    label: int | None
+    calibration: Calibration | ScoreModel
     level: FloatArray
     scatter: float
     birth: FloatArray
     object: FloatArray
-    clutter: FloatArray
+    clutter: FloatArray | None
     usual: float | None = None
     memory: float = 30.0
 
@@ -156,18 +159,38 @@ class Levels:
         if self.usual is not None:
             door.number("usual", above=0.0)
         door.floats("level", (max(levels, 1),))
-        for name in ("birth", "object", "clutter"):
+        shares = ["birth"] if self.clutter is None else ["birth", "clutter"]
+        for name in (*shares, "object"):
             door.unit_interval(name, levels)
         if (np.diff(self.level) <= 0).any():
             raise InputError("levels", field="level", expected="strictly rising", got=self.level)
-        for name in ("birth", "clutter"):
+        for name in shares:
             values = getattr(self, name)
             if abs(values.sum() - 1) > 1e-6:
                 raise InputError(
                     "levels", field=name, expected="shares that add up to one", got=values
                 )
-        if self.label not in list(Label):
+        if self.label is not None and self.label not in list(Label):
             raise InputError("levels", field="label", expected="a label", got=self.label)
+
+    @staticmethod
+    def at_their_word(scores: ScoreModel, usual: float | None) -> Levels:
+        """For sources of any label: a score says how probably its detection is true, and one that
+        stays low how probably its source is none.
+
+        Clearly low, as likely as not, and clearly high; chosen on simulated scenes.
+        """
+        return Levels(
+            label=None,
+            calibration=scores,
+            level=np.array([-1.2, 0.0, 1.3]),
+            scatter=1.0,
+            birth=np.array([0.35, 0.3, 0.35]),
+            object=np.array([0.25, 0.75, 0.97]),
+            clutter=None,
+            usual=usual,
+            memory=3.0,
+        )
 
     def object_after(self, seen: Seen) -> FloatArray:
         """(L,) P(object | level) in a scene of which so much has been seen."""
@@ -176,12 +199,29 @@ class Levels:
         odds = seen.abundance(self.usual, self.memory)
         return odds * self.object / (odds * self.object + 1 - self.object)
 
+    def own(self, detections: Detections) -> tuple[Detections, FloatArray]:
+        """The detections that may be of these sources, N of them, and their log-odds (N,).
+
+        Raises InputError where the calibration reads raw scores and there are none.
+        """
+        if isinstance(self.calibration, ScoreModel):
+            score = self.calibration.read(detections)
+            log_odds = self.calibration.log_likelihood_ratio(score).clip(-_SUREST, _SUREST)
+        else:
+            log_odds = self.calibration.log_odds(detections)
+        if self.label is None:
+            return detections, log_odds
+        own = detections.label == self.label
+        return detections.take(own), log_odds[own]
+
     def evidence(self, log_odds: FloatArray) -> FloatArray:
         """(M,L) p(log-odds | level) / p(log-odds | clutter) of detections (M,)."""
         apart = (log_odds[:, None] - self.level) / self.scatter
         nearest = np.abs(apart).min(axis=1, initial=np.inf, keepdims=True)
         height = np.exp(0.5 * (nearest**2 - apart**2))
-        return height / np.maximum(height @ self.clutter, 1e-6)[:, None]
+        if self.clutter is not None:
+            return height / np.maximum(height @ self.clutter, 1e-6)[:, None]
+        return height * (np.exp(log_odds) / np.maximum(height @ self.birth, 1e-6))[:, None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -201,7 +201,7 @@ def _ending(track_id: int, seen: Inspection, tracks: Tracks) -> str:
             f"it is probably outside the field of view (inside with {seen.in_view[track]:.2f})"
         )
     if not reasons:
-        reasons.append("a track known for longer is reported at its place")
+        reasons.append("another track is reported at its place")
     return f"{head} not reported: {' and '.join(reasons)}."
 
 

@@ -15,7 +15,7 @@ from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
 from pmbm.filter.estimation import apart, marginals
 from pmbm.filter.inspection import Inspection, inspect
-from pmbm.filter.marks import GHOST, Seen
+from pmbm.filter.marks import GHOST, Levels, Seen
 from pmbm.filter.models import (
     DetectionFromScores,
     Sensor,
@@ -62,9 +62,12 @@ class PMBMTracker:
         self._ground: Ground | None = None
         self._score_model = self.config.score_model or ScoreModel.trusting()
         self._from_scores = _from_scores(self.config)
-        self._marks = self.config.levels or self.config.kinds
+        self._levels = _levels(self.config, self._score_model)
+        self._marks = self._levels or self.config.kinds
         self._seen = Seen()
-        self.takes_all_labels = self.config.levels is not None
+        self.takes_all_labels = (
+            self.config.levels is not None and self.config.levels.label is not None
+        )
         """Whether `step` wants the detections of all labels though it follows those of one."""
 
     @classmethod
@@ -144,8 +147,7 @@ class PMBMTracker:
         )
         clock.read("reduce")
         self._seconds = clock.seconds
-        self._seen = self._seen.after(dt, self._in_view(self.density, view))
-        return self._report(self.density, view)
+        return self._report(self.density, view, dt)
 
     def inspect(self) -> Inspection:
         """Every track's hypotheses with weights and, where `config.history` says to keep them,
@@ -177,15 +179,13 @@ class PMBMTracker:
     def _scan(self, detections: Detections) -> Scan:
         """The measurements, with what their scores say under this configuration."""
         config = self.config
-        if config.levels is not None:
-            log_odds = config.levels.calibration.log_odds(detections)
-            own = detections.label == config.levels.label
-            evidence = config.levels.evidence(log_odds[own])
-            detections = detections.take(own)
-        scan = Scan.of(detections)
-        if config.kinds is not None:
+        speaking, evidence = config.scores, None
+        if self._levels is not None:
+            detections, log_odds = self._levels.own(detections)
+            evidence = self._levels.evidence(log_odds)
+        elif config.kinds is not None:
             evidence = config.kinds.evidence(detections)
-        speaking = config.scores
+        scan = Scan.of(detections)
         if self._marks is not None:
             speaking = "ignore"
             scan = replace(scan, evidence=evidence, kinds=self._marks.birth)
@@ -279,34 +279,28 @@ class PMBMTracker:
         # Undetected objects are merged and dropped where they are settled.
         return replace(limits, prune_undetected=0.0, merge_undetected=0.0)
 
-    def _in_view(self, density: Density, view: View) -> float:
-        """The expected number of objects in view, where the scores' levels tell anything by it."""
-        levels = self.config.levels
-        if levels is None or levels.usual is None:
-            return 0.0
-        marginal = marginals(density, levels.object)
-        best = marginal.best
-        inside = view.share_inside(density.local.mean[best], density.local.cov[best])
-        return float(marginal.object @ inside)
-
     def _object_share(self) -> FloatArray | None:
         """P(object) of a source of each kind, in this scene; None without marks."""
-        levels = self.config.levels
-        if levels is not None:
-            return levels.object_after(self._seen)
+        if self._levels is not None:
+            return self._levels.object_after(self._seen)
         return None if self._marks is None else self._marks.object
 
-    def _report(self, density: Density, view: View) -> Tracks:
-        """The tracks that probably exist and are probably in view.  One that has left the view is
-        kept in mind, and reported again where it comes back."""
-        marginal = marginals(density, self._object_share())
-        reported = np.flatnonzero(marginal.object > self.config.report_above)
-        best = marginal.best[reported]
-        inside = view.share_inside(density.local.mean[best], density.local.cov[best]) > 0.5
-        reported, local = reported[inside], density.local.take(best[inside])
-        stands = np.flatnonzero(apart(local.mean[:, :2], local.box, self.config.overlap))
-        if len(stands) < len(local):
-            reported, local = reported[stands], local.take(stands)
+    def _report(self, density: Density, view: View, dt: float) -> Tracks:
+        """The tracks that probably exist and are probably in view, `dt` after those before.  One
+        that has left the view is kept in mind, and reported again where it comes back."""
+        marginal, local = marginals(density), density.local
+        inside = view.share_inside(local.mean[marginal.best], local.cov[marginal.best])
+        if self._levels is not None and self._levels.usual is not None:
+            usually = marginal.objects(self._levels.object)
+            self._seen = self._seen.after(dt, float(usually @ inside))
+        exists = marginal.objects(self._object_share())
+        reported = np.flatnonzero((exists > self.config.report_above) & (inside > 0.5))
+        local = local.take(marginal.best[reported])
+        if self.config.exclusive:
+            place = np.ascontiguousarray(local.mean[:, :2])
+            stands = apart(place, local.box, known_since=density.track_id[reported])
+            if len(stands) < len(local):
+                reported, local = reported[stands], local.take(stands)
         return vouched(
             Tracks,
             time=self._time,
@@ -315,7 +309,7 @@ class PMBMTracker:
             size=local.box[:, 1:4].copy(),
             yaw=local.box[:, 4].copy(),
             velocity=local.mean[:, 2:].copy(),
-            score=marginal.object[reported],
+            score=exists[reported],
             label=local.label if self.config.kinds is None else _labels(local),
             covariance=local.cov,
             undetected=density.undetected.public(),
@@ -339,6 +333,13 @@ def _labels(local: Locals) -> NDArray[np.int8]:
     """The likeliest label of each row, by all of its detections."""
     assert local.kind is not None
     return local.kind[:, :GHOST].argmax(axis=1).astype(np.int8)
+
+
+def _levels(config: PMBMConfig, scores: ScoreModel) -> Levels | None:
+    """What the configuration says of the levels of scores; `kinds` say it all instead."""
+    if config.levels is not None or config.kinds is not None or config.scores != "lasting":
+        return config.levels
+    return Levels.at_their_word(scores, config.initial_objects or None)
 
 
 def _from_scores(config: PMBMConfig) -> DetectionFromScores | None:

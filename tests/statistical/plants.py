@@ -299,8 +299,8 @@ FILTER_PLANTS = [
     _filter(
         "a track out of view is still reported",
         "tracker",
-        "density.local.cov[best]) > 0.5",
-        "density.local.cov[best]) > -1",
+        "(inside > 0.5)",
+        "(inside > -1)",
         by="tests/unit/test_filter_tracker.py::test_a_track_out_of_view_is_kept_in_mind_and_not_reported",
     ),
     _filter(
@@ -337,9 +337,23 @@ FILTER_PLANTS = [
     _filter(
         "ghosts are reported",
         "estimation",
-        "mass * (local.kind @ object_share)",
-        "mass * local.kind.sum(axis=1)",
+        "np.minimum(self.of_kind @ object_share, self.existence)",
+        "self.existence",
         by="tests/unit/test_filter_marks.py::test_kinds_follow_bayes_rule",
+    ),
+    _filter(
+        "a low score says nothing of the source",
+        "marks",
+        "object=np.array([0.25, 0.75, 0.97])",
+        "object=np.array([0.75, 0.75, 0.97])",
+        by="tests/unit/test_filter_presets.py::test_what_scores_low_again_and_again_is_no_object[0.2-False]",
+    ),
+    _filter(
+        "a part is reported in place of the whole",
+        "estimation",
+        "area[b] > _WHOLE * area[a]",
+        "area[b] > 100 * area[a]",
+        by="tests/unit/test_filter_boxes.py::test_the_whole_is_reported_in_place_of_its_parts",
     ),
     _filter(
         "the chain of being seen never forgets",

@@ -2,6 +2,7 @@
 // test_kernel_sanitized.py with the address and undefined-behaviour sanitizers.
 #include "assignment/k_best.hpp"
 #include "filter/branch.hpp"
+#include "filter/exclusion.hpp"
 #include "filter/gate.hpp"
 #include "filter/join.hpp"
 #include "filter/merge.hpp"
@@ -10,6 +11,7 @@
 #include "filter/sensor.hpp"
 #include "filter/tables.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -448,6 +450,34 @@ void fuzz_candidates() {
     }
 }
 
+// No report that stands lies in another's place, and what does not stand has a reason.
+void fuzz_exclusion() {
+    const auto n = static_cast<std::size_t>(whole(0, 30));
+    pmbm::Floats position, box;
+    pmbm::Ints order(n);
+    for (std::size_t i = 0; i < n; ++i) {
+        order[i] = static_cast<std::int64_t>(i);
+        for (int a = 0; a < 2; ++a) position.push_back(chance() < 0.2 ? 0 : 20 * chance());
+        const double size = chance() < 0.1 ? 0 : 8;
+        box.insert(box.end(), {0, size * chance(), size * chance(), 1, 20 * chance() - 10});
+    }
+    std::shuffle(order.begin(), order.end(), random_source);
+    const auto rows = pmbm::standing(position.data(), box.data(), order.data(), n, 1.5);
+    std::vector<char> stands(n, 0);
+    for (const auto row : rows) stands[row] = 1;
+    for (std::size_t i = 0; i < n; ++i) {
+        bool alone = true;
+        for (std::size_t j = 0; j < n; ++j) {
+            if (i == j) continue;
+            const double *a = &position[2 * i], *b = &position[2 * j];
+            const bool shared = pmbm::inside(a, b, &box[5 * j]) || pmbm::inside(b, a, &box[5 * i]);
+            require(!(shared && stands[i] && stands[j]), "two reports at one place");
+            alone &= !shared;
+        }
+        require(stands[i] || !alone, "a report held back by nobody");
+    }
+}
+
 void fuzz_sensor() {
     const auto n = static_cast<std::size_t>(whole(0, 20));
     pmbm::Floats mean, cov, r, P_D, share(n), after(n), left(n);
@@ -538,6 +568,7 @@ int main(int argc, char** argv) {
         fuzz_reduction();
         fuzz_gate();
         fuzz_candidates();
+        fuzz_exclusion();
         fuzz_sensor();
         fuzz_rays();
         if (!small) continue;

@@ -55,23 +55,35 @@ def test_a_weight_out_of_bounds_is_refused():
             PMBMConfig(newest_box=bad)
 
 
-def boxes_at(*places):
-    position = np.reshape(places, (-1, 2)).astype(float)
-    return position, np.tile([0.8, 4.0, 2.0, 1.5, 0.0], (len(position), 1))
+def standing(*reports):
+    """Rows that stand of reports (x, y, length, width, yaw), known in this order."""
+    x, y, length, width, yaw = np.reshape(reports, (-1, 5)).astype(float).T
+    box = np.column_stack([np.full(len(x), 0.8), length, width, np.full(len(x), 1.5), yaw])
+    return apart(np.column_stack([x, y]), box, np.arange(len(x))).tolist()
 
 
 def test_two_reports_are_never_at_one_place():
-    """Boxes of 4 x 2 m in a row: shifted by 2 m they share a third of what they cover."""
-    position, box = boxes_at([0, 0], [2, 0], [4, 0], [20, 0], [20.5, 0])
-    assert apart(position, box, 0.3).tolist() == [True, False, True, True, False]
-    assert apart(position, box, 0.34).tolist() == [True, True, True, True, False]
-    assert apart(position, box, 1.0).all()
-    turned = box.copy()
-    turned[1, 4] = np.pi / 2
-    # Crosswise, 2 m on: 1 m x 2 m are shared, of 8 + 8 - 2.
-    assert apart(position[:2], turned[:2], 1 / 7 + 1e-6).all()
-    assert apart(position[:2], turned[:2], 1 / 7 - 1e-6).tolist() == [True, False]
-    assert apart(np.zeros((0, 2)), np.zeros((0, 5)), 0.3).tolist() == []
+    """The centre of one is not in the box of another: at 2 m along, or 1 m across, of 4 m x 2 m."""
+    car = (4.0, 2.0, 0.0)
+    assert standing((0, 0, *car), (2.1, 0, *car), (0, 1.1, *car)) == [0, 1, 2]
+    assert standing((0, 0, *car), (1.9, 0, *car)) == [0]
+    assert standing((0, 0, *car), (0, 0.9, *car)) == [0]
+    # Turned by a right angle, its place is 1 m along and 2 m across; the other's is as it was.
+    crosswise = (4.0, 2.0, np.pi / 2)
+    assert standing((0, 0, *crosswise), (1.9, 0, *crosswise)) == [0, 1]
+    assert standing((0, 0, *car), (1.9, 0, *crosswise)) == [0]
+    # What is held back itself holds nothing back.
+    assert standing((0, 0, *car), (1.9, 0, *car), (3.8, 0, *car)) == [0, 2]
+    assert standing() == []
+
+
+def test_the_whole_is_reported_in_place_of_its_parts():
+    truck, half = (12.0, 2.5, 0.0), (6.0, 2.5, 0.0)
+    assert standing((-3, 0, *half), (3, 0, *half), (0, 0, *truck)) == [2]
+    assert standing((0, 0, *truck), (-3, 0, *half), (3, 0, *half)) == [0]
+    # Not so much larger that the others are its parts.
+    assert standing((-3, 0, *half), (0, 0, 8.9, 2.5, 0.0)) == [0]
+    assert standing((-3, 0, *half), (2, 0, *truck), (6, 0, *truck)) == [1]
 
 
 def test_a_duplicate_that_stays_is_held_back_and_the_story_says_so():
@@ -89,14 +101,14 @@ def test_a_duplicate_that_stays_is_held_back_and_the_story_says_so():
         for k in range(25)
     ]
     told = {}
-    for overlap in (1.0, 0.3):
-        tracker = PMBMTracker(PMBMConfig.textbook(overlap=overlap, clutter_rate=0.1, history=1))
+    for exclusive in (False, True):
+        tracker = PMBMTracker(PMBMConfig.textbook(exclusive=exclusive, clutter_rate=0.1, history=1))
         steps, inspections = [], []
         for one in frames:
             steps.append(tracker.step(one))
             inspections.append(tracker.inspect())
-        told[overlap] = steps[-1].id.tolist()
-    assert len(told[1.0]) == 2
-    assert told[0.3] == steps[10].id.tolist() == [min(told[1.0])]
-    story = tell(max(told[1.0]), inspections, steps, frames, recycle_below=0.01)
-    assert "not reported: a track known for longer is reported at its place" in story
+        told[exclusive] = steps[-1].id.tolist()
+    assert len(told[False]) == 2
+    assert told[True] == steps[10].id.tolist() == [min(told[False])]
+    story = tell(max(told[False]), inspections, steps, frames, recycle_below=0.01)
+    assert "not reported: another track is reported at its place" in story

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from pmbm.filter.association import _first_detections, _gated, associate
 from pmbm.filter.branching import branch
 from pmbm.filter.clusters import factor, merge_equal
 from pmbm.filter.density import Density, Globals, Locals, Mixture, Origin, starts
+from pmbm.filter.estimation import apart
 from pmbm.filter.gating import gate
 from pmbm.filter.gaussian import Innovation
 from pmbm.filter.marks import Visibility
@@ -130,6 +132,23 @@ def test_shares_in_view_as_plain(monkeypatch, half_angle):
     fast, plain = on_both(monkeypatch, lambda: view.share_inside(mean, cov))
     assert ((plain > 0.1) & (plain < 0.9)).sum() > 10
     np.testing.assert_allclose(fast, plain, rtol=1e-12, atol=1e-15)
+
+
+def test_reports_at_one_place_as_plain(monkeypatch):
+    """Crowds of boxes of all sizes and headings, some of them at the very same place."""
+    held_back = 0
+    for seed in range(30):
+        random = np.random.default_rng(seed)
+        n = int(random.integers(0, 80))
+        position = random.normal(0, 2.0 + seed % 3 * 10, (n, 2))
+        position[: n // 4] = position[: n // 4].round()
+        box = np.column_stack([np.zeros(n), random.uniform(0.2, 12, (n, 2)), np.ones(n)])
+        box = np.column_stack([box, random.uniform(-4, 4, n)])
+        since = random.permutation(n)
+        fast, plain = on_both(monkeypatch, partial(apart, position, box, since))
+        assert fast.tolist() == plain.tolist()
+        held_back += n - len(plain)
+    assert held_back > 300
 
 
 def test_misses_say_the_same(monkeypatch):

@@ -22,11 +22,12 @@ needs_kernels = pytest.mark.skipif(
 
 
 def frame(when, z):
+    """Boxes so small that none is in another's place."""
     n = len(z)
     return Detections(
         time=when,
         position=np.column_stack([z, np.zeros(n)]),
-        size=np.ones((n, 3)),
+        size=np.full((n, 3), 0.02),
         yaw=np.zeros(n),
         score=np.full(n, 0.5),
         label=np.zeros(n, np.int8),

@@ -11,6 +11,7 @@ import pytest
 from pmbm.errors import InputError
 from pmbm.filter import PMBMConfig, PMBMTracker
 from pmbm.filter.density import Density, Mixture
+from pmbm.filter.marks import Levels
 from pmbm.filter.models import DetectionFromScores, Sensor
 from pmbm.filter.scan import Scan
 from pmbm.score import ScoreModel
@@ -185,6 +186,48 @@ def test_a_clear_track_survives_misses_shorter_or_longer(rule):
             gone += 1
         lifetimes[score] = gone
     assert (lifetimes[0.95] < lifetimes[0.05]) == (rule == "rising")
+
+
+@pytest.mark.parametrize(("score", "reported"), [(0.2, False), (0.45, True), (0.9, True)])
+def test_what_scores_low_again_and_again_is_no_object(score, reported):
+    """A pole beside four cars; its scores scatter about the one given."""
+    random = np.random.default_rng(0)
+    places = np.array([[10.0, 0, 1], [20, 5, 1], [30, -5, 1], [15, 10, 1], [25, -15, 1]])
+    seen = {}
+    for rule in ("everywhere", "lasting"):
+        tracker = PMBMTracker(PMBMConfig(scores=rule))
+        for k in range(40):
+            own = np.clip(random.normal(score, 0.08), 0.05, 0.95)
+            tracks = tracker.step(
+                Detections(
+                    time=0.1 * k,
+                    position=places + random.normal(0, 0.2, (5, 3)),
+                    size=np.tile([4, 2, 1.5], (5, 1)),
+                    yaw=np.zeros(5),
+                    score=[own, 0.9, 0.8, 0.85, 0.9],
+                    label=np.zeros(5, int),
+                )
+            )
+        seen[rule] = np.linalg.norm(tracks.position - places[0], axis=1).min() < 1
+        assert len(tracks) == 4 + seen[rule]
+    assert seen == {"everywhere": True, "lasting": reported}
+
+
+def test_a_new_source_is_as_likely_as_its_score_says():
+    """Whatever its level may be: weighted by the shares of the levels, the evidence is the odds."""
+    score = np.linspace(0.03, 0.97, 9)
+    levels = Levels.at_their_word(ScoreModel.trusting(), usual=3.0)
+    one = replace(next(iter(frames(2))).take(np.zeros(9, int)), score=score)
+    own, log_odds = levels.own(one)
+    assert len(own) == 9
+    assert np.exp(log_odds) == pytest.approx(score / (1 - score), rel=1e-3)
+    assert levels.evidence(log_odds) @ levels.birth == pytest.approx(np.exp(log_odds), rel=1e-9)
+    # Of one score, one level is the likelier the nearer it is.
+    low, _, high = (levels.evidence(log_odds) / levels.evidence(log_odds).sum(1)[:, None]).T
+    assert (np.diff(low) < 0).all()
+    assert (np.diff(high) > 0).all()
+    extreme = replace(one, score=np.r_[0.0, np.full(8, 1.0)])
+    assert np.abs(levels.own(extreme)[1]).max() == 4.0
 
 
 def test_raw_scores_are_read_where_the_model_asks_for_them():

@@ -24,7 +24,9 @@ OPTIONS = {
     "miss-scaled": {"miss_rule"},
     "occlusion": {"occlusion"},
     "scores-everywhere": {"scores"},
+    "scores-lasting": {"scores"},
     "visibility": {"visibility", "detection_probability"},
+    "exclusive": {"exclusive"},
 }
 """Tracker of the study -> what tells it from the textbook."""
 
@@ -56,7 +58,7 @@ def test_the_options_together_are_the_presets(trackers):
     assert config_of(trackers["scores-first"]).scores == paper.scores
     assert config_of(trackers["falling"]).detection_from_scores == paper.detection_from_scores
     assert config_of(trackers["miss-scaled"]).miss_rule == paper.miss_rule
-    for name in ("occlusion", "scores-everywhere", "visibility"):
+    for name in ("occlusion", "scores-lasting", "visibility", "exclusive"):
         config = config_of(trackers[name])
         for option in OPTIONS[name]:
             assert getattr(config, option) == getattr(default, option)

@@ -230,7 +230,7 @@ def test_the_file_is_one_that_track_and_studies_take(scene, tmp_path, capsys):
     space.write_text("clutter_rate = { low = 15.0, high = 30.0 }\nmax_hypotheses = [10, 50]")
     config, out = tmp_path / "config.toml", tmp_path / "new" / "tuned.toml"
     config.write_text(
-        "gate = 18.0\nclutter_rate = 2.0\n"
+        "gate = 18.0\nclutter_rate = 300.0\n"
         "[visibility]\nunseen = 0.2\nstay_seen = 0.9\nstay_unseen = 0.6"
     )
     options = ("--space", space, "--config", config, "--recordings", 1, "--trials", 3)
