@@ -9,6 +9,7 @@ import numpy as np
 
 from pmbm.errors import InputError
 from pmbm.filter.config import PMBMConfig
+from pmbm.filter.estimation import apart
 from pmbm.filter.gaussian import symmetric
 from pmbm.filter.inspection import Inspection
 from pmbm.filter.models import constant_velocity
@@ -72,7 +73,11 @@ def smooth(
         found = _forward(_life(steps, existence, number, rows, times), config)
         if found is not None and found[0].score[-1] > config.keep_above:
             lives.append(_with_boxes(_backward(*found)))
-    return tuple(_step(one, number, lives) for number, one in enumerate(steps))
+    told: list[Tracks] = []
+    for number, one in enumerate(steps):
+        there = _present(lives, number)
+        told.append(_step(one, _standing(there) if config.exclusive else there))
+    return tuple(told)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -107,6 +112,10 @@ class _Life:
         after = np.minimum(before + 1, len(seen) - 1)
         gap = self.time[seen[after]] - self.time[seen[np.maximum(before, 0)]]
         return self.detected | (gap <= _LONGEST_GAP)
+
+
+_Moment = tuple[_Life, int]
+"""A life, and the row of a step in it."""
 
 
 def _rows_of_tracks(steps: Sequence[Tracks]) -> dict[int, list[tuple[int, int]]]:
@@ -222,27 +231,27 @@ def _with_boxes(life: _Life) -> _Life:
     seen = np.flatnonzero(life.detected)
     box = life.box.copy()
     box[:, 1:4] = box[seen, 1:4].mean(axis=0)
-    apart = life.time[:, None] - life.time[seen]
-    box[:, 0] = _averaged(life.box[seen, :1], apart, _CLIMBING)[:, 0]
-    box[:, 4] = _headings(life, life.box[seen, 4], apart)
+    lag = life.time[:, None] - life.time[seen]
+    box[:, 0] = _averaged(life.box[seen, :1], lag, _CLIMBING)[:, 0]
+    box[:, 4] = _headings(life, life.box[seen, 4], lag)
     return replace(life, box=box)
 
 
-def _averaged(value: FloatArray, apart: FloatArray, within: float) -> FloatArray:
+def _averaged(value: FloatArray, lag: FloatArray, within: float) -> FloatArray:
     """Means (n,K) of values (m,K), weighted by a Gaussian of their distance in time (n,m), s."""
-    weight = -0.5 * (apart / within) ** 2
+    weight = -0.5 * (lag / within) ** 2
     weight = np.exp(weight - weight.max(axis=1, keepdims=True))
     averaged: FloatArray = weight @ value / weight.sum(axis=1, keepdims=True)
     return averaged
 
 
-def _headings(life: _Life, yaw: FloatArray, apart: FloatArray) -> FloatArray:
+def _headings(life: _Life, yaw: FloatArray, lag: FloatArray) -> FloatArray:
     """Headings (n,) from those of the detections (m,), any of which may be turned by half a turn.
 
     The axis is averaged first, which does not tell front from back, and followed without jumps;
     then all detections, and the motion where it tells, say together which end is the front.
     """
-    doubled = _averaged(np.column_stack([np.cos(2 * yaw), np.sin(2 * yaw)]), apart, _TURNING)
+    doubled = _averaged(np.column_stack([np.cos(2 * yaw), np.sin(2 * yaw)]), lag, _TURNING)
     axis = np.unwrap(np.arctan2(doubled[:, 1], doubled[:, 0])) / 2
     ahead = np.cos(yaw - axis[life.detected]).sum()
     speed = np.hypot(life.mean[:, 2], life.mean[:, 3])
@@ -253,20 +262,29 @@ def _headings(life: _Life, yaw: FloatArray, apart: FloatArray) -> FloatArray:
     return wrap_angle(axis if ahead >= 0 else axis + np.pi)
 
 
-def _step(given: Tracks, number: int, lives: Sequence[_Life]) -> Tracks:
-    rows = [
+def _present(lives: Sequence[_Life], number: int) -> list[_Moment]:
+    return [
         (life, number - life.first)
         for life in lives
         if life.first <= number < life.first + len(life.mean)
         and life.present()[number - life.first]
     ]
+
+
+def _standing(rows: list[_Moment]) -> list[_Moment]:
+    """Where two lives are at one place, that of more detections."""
+    detections = np.array([np.count_nonzero(life.detected) for life, _ in rows])
+    return [rows[row] for row in apart(*_places(rows), known_since=-detections)]
+
+
+def _step(given: Tracks, rows: Sequence[_Moment]) -> Tracks:
+    place, box = _places(rows)
     n = len(rows)
     mean = np.array([life.mean[k] for life, k in rows]).reshape(n, 4)
-    box = np.array([life.box[k] for life, k in rows]).reshape(n, 5)
     return Tracks(
         time=given.time,
         id=np.array([life.id for life, _ in rows], np.int64),
-        position=np.column_stack([mean[:, :2], box[:, 0]]),
+        position=np.column_stack([place, box[:, 0]]),
         size=box[:, 1:4],
         yaw=box[:, 4],
         velocity=mean[:, 2:],
@@ -274,4 +292,13 @@ def _step(given: Tracks, number: int, lives: Sequence[_Life]) -> Tracks:
         label=np.array([life.label for life, _ in rows], np.int8),
         covariance=np.array([life.cov[k] for life, k in rows]).reshape(n, 4, 4),
         undetected=given.undetected,
+    )
+
+
+def _places(rows: Sequence[_Moment]) -> tuple[FloatArray, FloatArray]:
+    """Positions (n,2) and boxes (n,5) of lives at a moment of each."""
+    n = len(rows)
+    return (
+        np.array([life.mean[k, :2] for life, k in rows]).reshape(n, 2),
+        np.array([life.box[k] for life, k in rows]).reshape(n, 5),
     )

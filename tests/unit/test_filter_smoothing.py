@@ -146,6 +146,27 @@ def test_a_detection_that_is_rather_anothers_does_not_decide():
     assert sum(map(len, no_object)) == 0
 
 
+def test_the_life_of_more_detections_is_at_a_place():
+    """A second box beside a car, there first: the car's track is the longer one in the end."""
+    config = PMBMConfig.textbook(exclusive=True, clutter_rate=1e-6)
+    tracker = PMBMTracker(replace(config, exclusive=False))
+    steps = []
+    for k in range(40):
+        x = 5.0 + 0.4 * k
+        boxes = [[x + 1, 0.5]] if k < 3 else [[x + 1, 0.5], [x, 0]] if k < 12 else [[x, 0]]
+        steps.append(tracker.step(frame(0.1 * k, boxes)))
+    assert max(map(len, steps)) == 2
+    own = steps[-1].id.tolist()
+    assert steps[0].id.tolist() not in ([], own)
+    beside = smooth(steps, replace(config, exclusive=False))
+    alone = smooth(steps, config)
+    begun = next(k for k, one in enumerate(alone) if own[0] in one.id.tolist())
+    assert [one.id.tolist() for one in alone[begun:]] == [own] * (40 - begun)
+    assert max(map(len, beside)) == 2
+    # Before it, the other stands.
+    assert [len(one) for one in alone[:begun]] == [len(one) for one in beside[:begun]]
+
+
 def test_a_life_ends_with_its_last_detection_and_long_gaps_stay_open():
     config = PMBMConfig.textbook(
         clutter_rate=1e-6, detection_probability=0.1, survival=0.9999, report_above=0.001
