@@ -71,7 +71,7 @@ def table(title, found, plain, verified):
 def test_what_kinds_are_worth_in_persistent_clutter(verified):
     scene = load_scenario(HERE / "street_of_poles.toml")
     score = scores_of(scene)
-    base = PMBMConfig(score_model=score)
+    base = PMBMConfig(score_model=score, scores="everywhere", exclusive=False)
 
     def kinds(**changes):
         given = {"ghosts": 0.4, "score": score, **changes}
@@ -81,6 +81,7 @@ def test_what_kinds_are_worth_in_persistent_clutter(verified):
     configs = {
         "scores alone": base,
         "no scores": replace(base, scores="ignore"),
+        "scores that last": replace(base, scores="lasting"),
         "neutral kinds": kinds(ghosts=0.0, score=ScoreModel.uninformative(), mislabelled=6 / 7),
         "ghosts .4": kinds(),
         "ghosts 0": kinds(ghosts=0.0),
@@ -98,7 +99,9 @@ def test_what_kinds_are_worth_in_persistent_clutter(verified):
 
 def test_what_the_chain_of_being_seen_is_worth_in_runs_of_misses(verified):
     scene = load_scenario(HERE / "street_of_bursts.toml")
-    base = PMBMConfig(visibility=None, detection_probability=0.8)
+    base = PMBMConfig(
+        visibility=None, detection_probability=0.8, scores="everywhere", exclusive=False
+    )
 
     def chain(**changes):
         return replace(

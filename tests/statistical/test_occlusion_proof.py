@@ -4,6 +4,7 @@ filter with a constant P_D and against every baseline with its memory swept.
 python -m pytest tests/statistical/test_occlusion_proof.py -m slow -s       prints the tables
 """
 
+import copy
 import os
 import sys
 from dataclasses import replace
@@ -46,6 +47,8 @@ CELLS = {
     "intersection_buildings@10": 20.0,
 }
 """Scenario and level -> s of it that hold its occlusions."""
+WALLS = {"long_occlusion, walkers for 3 s": 3.2, "long_occlusion, cars for 3 s": 6.6}
+"""Half the length, m, of a wall in long_occlusion that hides these for about 3 s."""
 BIRTHS_UNTIL = 12.0
 """s of occluded_birth."""
 AIM_KEPT, AIM_DELAY = 0.4, 0.3
@@ -65,8 +68,21 @@ def pmbm(**changes):
 
 def recordings(name, seconds):
     scenario = load_scenario(name)
-    shorter = Scenario({**scenario.document, "duration": seconds}, scenario.file, scenario.level)
-    return [shorter.record(seed) for seed in range(FIRST_SEED, FIRST_SEED + SEEDS)]
+    return recorded(scenario, {**scenario.document, "duration": seconds})
+
+
+def recorded(scenario, document):
+    changed = Scenario(document, scenario.file, scenario.level)
+    return [changed.record(seed) for seed in range(FIRST_SEED, FIRST_SEED + SEEDS)]
+
+
+def behind_a_wall(half_length):
+    """The scripted objects of long_occlusion, its wall as long as is asked."""
+    scenario = load_scenario("long_occlusion@2")
+    document = copy.deepcopy({**scenario.document, "duration": CELLS["long_occlusion@2"]})
+    walls = document["sweep"]["set"]["scene.occluders.wall.box"]
+    walls[document["sweep"]["levels"].index(2.0)][2] = half_length
+    return recorded(scenario, document)
 
 
 def baselines():
@@ -78,10 +94,10 @@ def baselines():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("cell", [*CELLS, *WALLS])
 def test_identity_through_occlusion(cell, verified, capsys):
     trackers = {"pmbm": pmbm(), "constant P_D": pmbm(occlusion=False), **baselines()}
-    scenes = recordings(cell, CELLS[cell])
+    scenes = behind_a_wall(WALLS[cell]) if cell in WALLS else recordings(cell, CELLS[cell])
     trials = {name: [trial(one, make) for one in scenes] for name, make in trackers.items()}
     ghost = {name: float(np.mean([one.ghost for one in each])) for name, each in trials.items()}
     lines = [f"\n{cell}: {SEEDS} seeds from {FIRST_SEED}; ghost time of pmbm {ghost['pmbm']:.2f} s"]
