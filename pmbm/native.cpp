@@ -162,9 +162,9 @@ nb::tuple missed(Input<double> r, Input<double> P_D) {
 }
 
 Output<std::int64_t> standing(Table<double> position, Table<double> box, Input<std::int64_t> order,
-                              double larger) {
+                              std::size_t sure, double larger) {
     return hand_over(
-        pmbm::standing(position.data(), box.data(), order.data(), order.size(), larger));
+        pmbm::standing(position.data(), box.data(), order.data(), order.size(), sure, larger));
 }
 
 Output<double> seen_if_missed(Input<double> seen, Input<double> P_D, double unseen) {

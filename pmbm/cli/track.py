@@ -113,8 +113,7 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
     """Every label's tracks, smoothed over the whole recording.
 
     Tracks are followed from a tenth of the existence at which they are kept on, so that one
-    that is reported later may begin where it first appeared, and several at one place, until it
-    is known which lasts.  Raises InputError for a tracker that
+    that is reported later may begin where it first appeared.  Raises InputError for a tracker that
     is not the PMBM tracker.
     """
     import dataclasses
@@ -132,9 +131,7 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
                 hint="use --tracker pmbm or --mode online",
             )  # fmt: skip
         config = tracker.config
-        early = dataclasses.replace(
-            config, report_above=config.keep_above / 10, newest_box=1.0, exclusive=False
-        )
+        early = dataclasses.replace(config, report_above=config.keep_above / 10, newest_box=1.0)
         own = tuple(seen_by(tracker, label, frame) for frame in recording.detections)
         alone = dataclasses.replace(recording, detections=own, origin=None)
         found = run(PMBMTracker(early, recording.site), alone, record=True)

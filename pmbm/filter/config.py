@@ -89,7 +89,7 @@ class PMBMConfig:
     report_above : a track is reported when its probability of existence exceeds this, in [0, 1].
     exclusive : whether a track is held back where another is reported at its place, the centre of
         one in the box of the other: two objects are never at one place.  The one known for longer
-        is reported, or the whole instead of its part.
+        is reported, if it is there more probably than not, or the whole instead of its part.
     keep_above : the batch mode keeps a track whose probability, as of its last detection, exceeds
         this, in [0, 1].
     history : steps of association history kept per hypothesis, to look at, >= 0.

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from pmbm import compiled
 from pmbm.filter.density import Density, Index, Locals, summed
-from pmbm.types import FloatArray, IntArray
+from pmbm.types import FloatArray
 
 _WHOLE = 1.5
 """A box this many times as large as another at its place is the whole of which that is a part."""
@@ -58,22 +58,24 @@ def _by_kind(local: Locals, mass: FloatArray, tracks: int) -> FloatArray | None:
     return of_kind.reshape(tracks, kinds)
 
 
-def apart(position: FloatArray, box: FloatArray, known_since: IntArray) -> Index:
+def apart(position: FloatArray, box: FloatArray, order: Index, sure: int) -> Index:
     """Rows of the reports that stand where two are never at one place, the centre of one in the box
     of the other.
 
-    The one known for longer stands, or the whole instead of its parts: trucks are seen in halves.
+    The one that comes first stands, or the whole instead of its parts: trucks are seen in halves.
 
-    position (N,2); box (N,5) : z, length, width, height, yaw; known_since (N,) : smaller is longer.
+    position (N,2); box (N,5) : z, length, width, height, yaw; order (N,) : the rows, those with the
+    better claim to their places first, of which the first `sure` may hold others back.
     """
-    order = np.argsort(known_since, kind="stable")
     if compiled.native is not None:
-        rows: Index = compiled.native.standing(position, box, order, _WHOLE)
+        rows: Index = compiled.native.standing(position, box, order, sure, _WHOLE)
         return rows
     area, stands = box[:, 1] * box[:, 2], np.zeros(len(position), bool)
+    may_hold = np.zeros(len(position), bool)
+    may_hold[order[:sure]] = True
     rivals_of = _at_one_place(position, box)
     for b in order.tolist():
-        rivals = [a for a in rivals_of.get(b, []) if stands[a]]
+        rivals = [a for a in rivals_of.get(b, []) if stands[a] and may_hold[a]]
         if all(area[b] > _WHOLE * area[a] for a in rivals):
             stands[rivals], stands[b] = False, True
     return np.flatnonzero(stands)

@@ -18,11 +18,12 @@ inline bool inside(const double* point, const double* position, const double* bo
     return std::abs(c * dx + s * dy) < box[1] / 2 && std::abs(c * dy - s * dx) < box[2] / 2;
 }
 
-// Boxes (N,5) at positions (N,2), in the order in which they are to be asked.
+// Boxes (N,5) at positions (N,2), in the order in which they are to be asked; the first `sure` of
+// these may hold others back.
 inline std::vector<std::int64_t> standing(const double* position, const double* box,
                                           const std::int64_t* order, std::size_t count,
-                                          double larger) {
-    std::vector<char> stands(count, 0);
+                                          std::size_t sure, double larger) {
+    std::vector<char> stands(count, 0), holds(count, 0);
     const Grid grid(position, count);
     double reach = 0;
     for (std::size_t i = 0; i < count; ++i) {
@@ -35,7 +36,7 @@ inline std::vector<std::int64_t> standing(const double* position, const double* 
         rivals.clear();
         grid.in_box(at[0], at[1], reach, reach, [&](std::int64_t other) {
             const auto a = static_cast<std::size_t>(other);
-            if (!stands[a]) return;
+            if (!holds[a]) return;
             const double *there = position + 2 * a, *its = box + 5 * a;
             if (inside(at, there, its) || inside(there, at, own)) rivals.push_back(a);
         });
@@ -45,7 +46,8 @@ inline std::vector<std::int64_t> standing(const double* position, const double* 
         });
         if (!whole) continue;
         stands[b] = 1;
-        for (const auto a : rivals) stands[a] = 0;
+        holds[b] = n < sure;
+        for (const auto a : rivals) stands[a] = holds[a] = 0;
     }
     std::vector<std::int64_t> rows;
     for (std::size_t i = 0; i < count; ++i) {

@@ -174,7 +174,7 @@ class Levels:
             raise InputError("levels", field="label", expected="a label", got=self.label)
 
     @staticmethod
-    def at_their_word(scores: ScoreModel, usual: float | None) -> Levels:
+    def at_their_word(scores: ScoreModel) -> Levels:
         """For sources of any label: a score says how probably its detection is true, and one that
         stays low how probably its source is none.
 
@@ -188,7 +188,7 @@ class Levels:
             birth=np.array([0.35, 0.3, 0.35]),
             object=np.array([0.25, 0.75, 0.97]),
             clutter=None,
-            usual=usual,
+            usual=3.0,
             memory=3.0,
         )
 

@@ -273,8 +273,9 @@ def _present(lives: Sequence[_Life], number: int) -> list[_Moment]:
 
 def _standing(rows: list[_Moment]) -> list[_Moment]:
     """Where two lives are at one place, that of more detections."""
-    detections = np.array([np.count_nonzero(life.detected) for life, _ in rows])
-    return [rows[row] for row in apart(*_places(rows), known_since=-detections)]
+    detections = [np.count_nonzero(life.detected) for life, _ in rows]
+    claims = np.argsort(np.negative(detections), kind="stable")
+    return [rows[row] for row in apart(*_places(rows), claims, len(rows))]
 
 
 def _step(given: Tracks, rows: Sequence[_Moment]) -> Tracks:

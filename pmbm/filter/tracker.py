@@ -297,8 +297,11 @@ class PMBMTracker:
         reported = np.flatnonzero((exists > self.config.report_above) & (inside > 0.5))
         local = local.take(marginal.best[reported])
         if self.config.exclusive:
-            place = np.ascontiguousarray(local.mean[:, :2])
-            stands = apart(place, local.box, known_since=density.track_id[reported])
+            # What is known for longer has the better claim, if it is there more probably than not.
+            doubtful = exists[reported] <= 0.5
+            claims = np.lexsort((density.track_id[reported], doubtful))
+            sure = len(claims) - int(np.count_nonzero(doubtful))
+            stands = apart(np.ascontiguousarray(local.mean[:, :2]), local.box, claims, sure)
             if len(stands) < len(local):
                 reported, local = reported[stands], local.take(stands)
         return vouched(
@@ -339,7 +342,7 @@ def _levels(config: PMBMConfig, scores: ScoreModel) -> Levels | None:
     """What the configuration says of the levels of scores; `kinds` say it all instead."""
     if config.levels is not None or config.kinds is not None or config.scores != "lasting":
         return config.levels
-    return Levels.at_their_word(scores, config.initial_objects or None)
+    return Levels.at_their_word(scores)
 
 
 def _from_scores(config: PMBMConfig) -> DetectionFromScores | None:

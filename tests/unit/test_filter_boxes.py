@@ -55,11 +55,11 @@ def test_a_weight_out_of_bounds_is_refused():
             PMBMConfig(newest_box=bad)
 
 
-def standing(*reports):
+def standing(*reports, sure=9):
     """Rows that stand of reports (x, y, length, width, yaw), known in this order."""
     x, y, length, width, yaw = np.reshape(reports, (-1, 5)).astype(float).T
     box = np.column_stack([np.full(len(x), 0.8), length, width, np.full(len(x), 1.5), yaw])
-    return apart(np.column_stack([x, y]), box, np.arange(len(x))).tolist()
+    return apart(np.column_stack([x, y]), box, np.arange(len(x)), sure).tolist()
 
 
 def test_two_reports_are_never_at_one_place():
@@ -72,7 +72,10 @@ def test_two_reports_are_never_at_one_place():
     crosswise = (4.0, 2.0, np.pi / 2)
     assert standing((0, 0, *crosswise), (1.9, 0, *crosswise)) == [0, 1]
     assert standing((0, 0, *car), (1.9, 0, *crosswise)) == [0]
-    # What is held back itself holds nothing back.
+    # What is not sure itself is held back, and holds nothing back.
+    assert standing((0, 0, *car), (1.9, 0, *car), (3.8, 0, *car), sure=1) == [0, 2]
+    assert standing((0, 0, *car), (1.9, 0, *car), sure=0) == [0, 1]
+    # Nor does what is held back.
     assert standing((0, 0, *car), (1.9, 0, *car), (3.8, 0, *car)) == [0, 2]
     assert standing() == []
 

@@ -144,8 +144,10 @@ def test_reports_at_one_place_as_plain(monkeypatch):
         position[: n // 4] = position[: n // 4].round()
         box = np.column_stack([np.zeros(n), random.uniform(0.2, 12, (n, 2)), np.ones(n)])
         box = np.column_stack([box, random.uniform(-4, 4, n)])
-        since = random.permutation(n)
-        fast, plain = on_both(monkeypatch, partial(apart, position, box, since))
+        order = random.permutation(n)
+        fast, plain = on_both(
+            monkeypatch, partial(apart, position, box, order, n - seed % 2 * n // 3)
+        )
         assert fast.tolist() == plain.tolist()
         held_back += n - len(plain)
     assert held_back > 300

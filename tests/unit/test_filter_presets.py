@@ -216,7 +216,7 @@ def test_what_scores_low_again_and_again_is_no_object(score, reported):
 def test_a_new_source_is_as_likely_as_its_score_says():
     """Whatever its level may be: weighted by the shares of the levels, the evidence is the odds."""
     score = np.linspace(0.03, 0.97, 9)
-    levels = Levels.at_their_word(ScoreModel.trusting(), usual=3.0)
+    levels = Levels.at_their_word(ScoreModel.trusting())
     one = replace(next(iter(frames(2))).take(np.zeros(9, int)), score=score)
     own, log_odds = levels.own(one)
     assert len(own) == 9
