@@ -54,7 +54,7 @@ class PMBMTracker:
         self.site = site if site is not None else Site()
         self.density: Density | None = None
         self.reduced = Reduced()
-        self._before: tuple[Density, Sensor] | None = None
+        self._before: tuple[Density, View] | None = None
         self._time = math.nan
         self._seconds: dict[str, float] = {}
         self._shape: Mixture | None = None
@@ -122,7 +122,7 @@ class PMBMTracker:
         clock.read("predict")
         sensor = self._sensor(view, predicted)
         # The tracker stands at this frame's time from here on, and lets go of what came before.
-        self.density, self._time, self._before = predicted, detections.time, (predicted, sensor)
+        self.density, self._time, self._before = predicted, detections.time, (predicted, view)
         association = associate(
             predicted,
             scan,
@@ -133,12 +133,15 @@ class PMBMTracker:
             clustering=config.clustering,
         )
         clock.read("associate")
+        # Of a large scene, what hides what takes memory that the rest of the step can use.
+        sensor = replace(sensor, shadows=None)
         updated = update(predicted, scan, association, sensor)
         clock.read("update")
         unlikely, gated = association.dropped, len(association.known.row)
-        # Of a large scene, what the scan said takes memory that the reduction can use.
+        # And so does what the scan said.
         del association
         self.density, reduced = reduce(updated, self._limits())
+        del updated
         self.reduced = replace(
             reduced,
             hypotheses_pruned=reduced.hypotheses_pruned + unlikely,
@@ -158,9 +161,11 @@ class PMBMTracker:
         """
         if self.density is None or self._before is None:
             raise InputError("nothing to inspect before the first step")
+        predicted, view = self._before
         return inspect(
             self.density,
-            *self._before,
+            predicted,
+            self._sensor(view, predicted),
             self.site.occluders,
             time=self._time,
             report_above=self.config.report_above,
@@ -289,7 +294,7 @@ class PMBMTracker:
         """The tracks that probably exist and are probably in view, `dt` after those before.  One
         that has left the view is kept in mind, and reported again where it comes back."""
         marginal, local = marginals(density), density.local
-        inside = view.share_inside(local.mean[marginal.best], local.cov[marginal.best])
+        inside = view.share_inside(local.mean, local.cov)[marginal.best]
         if self._levels is not None and self._levels.usual is not None:
             usually = marginal.objects(self._levels.object)
             self._seen = self._seen.after(dt, float(usually @ inside))
