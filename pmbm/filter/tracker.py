@@ -344,10 +344,10 @@ def _labels(local: Locals) -> NDArray[np.int8]:
 
 
 def _levels(config: PMBMConfig, scores: ScoreModel) -> Levels | None:
-    """What the configuration says of the levels of scores; `kinds` say it all instead."""
-    if config.levels is not None or config.kinds is not None or config.scores != "lasting":
-        return config.levels
-    return Levels.at_their_word(scores)
+    """What the configuration says of the levels of scores, unless `kinds` say it all."""
+    if config.scores == "lasting" and config.levels is None and config.kinds is None:
+        return Levels.at_their_word(scores)
+    return config.levels
 
 
 def _from_scores(config: PMBMConfig) -> DetectionFromScores | None:

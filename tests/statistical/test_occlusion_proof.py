@@ -170,10 +170,7 @@ def test_first_report_of_objects_that_come_out_of_hiding(verified, capsys):
     pairs = {
         "default filter": (scenes, {}),
         "map of undetected objects, streets known": (known, {"undetected_detail": 3.5}),
-        "the same, told of the scene's clutter and objects": (
-            known,
-            told,
-        ),
+        "the same, told of the scene's clutter and objects": (known, told),
         "told, each score for itself": (known, {**told, "scores": "everywhere"}),
     }
     lines = [f"\noccluded_birth: mean delay of the first report, {SEEDS} seeds from {FIRST_SEED}"]
