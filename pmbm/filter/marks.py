@@ -28,6 +28,9 @@ GHOST = _LABELS
 _KINDS = 2 * _LABELS
 _SUREST = 4.0
 """Log-odds beyond which a single score says no more."""
+_LOOKED = 5.0
+"""For how long a scene is remembered, in the time that what is usual is worth: scenes change, and
+after an empty hour the first object must be believed at once."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -138,7 +141,7 @@ class Levels:
 
     Poles come with the detector, objects with the scene: where many objects have been seen, an
     uncertain source is more probably another.  The scene's number has a gamma distribution, learned
-    from the expected number of objects in view (`Seen`).
+    from the expected number of objects in view (`Seen`) over the last five times `memory`.
     """
 
     label: int | None
@@ -185,11 +188,11 @@ class Levels:
             calibration=scores,
             level=np.array([-1.2, 0.0, 1.3]),
             scatter=1.0,
-            birth=np.array([0.35, 0.3, 0.35]),
-            object=np.array([0.25, 0.75, 0.97]),
+            birth=np.array([0.6, 0.18, 0.22]),
+            object=np.array([0.15, 0.85, 0.97]),
             clutter=None,
-            usual=3.0,
-            memory=3.0,
+            usual=1.5,
+            memory=1.0,
         )
 
     def object_after(self, seen: Seen) -> FloatArray:
@@ -198,6 +201,14 @@ class Levels:
             return self.object
         odds = seen.abundance(self.usual, self.memory)
         return odds * self.object / (odds * self.object + 1 - self.object)
+
+    def birth_after(self, seen: Seen) -> FloatArray:
+        """(L,) new sources of each level, in all that are usual: where few objects have been seen,
+        fewer come.  Where many have, no more do, since what fills a scene is known already."""
+        if self.usual is None:
+            return self.birth
+        odds = min(1.0, seen.abundance(self.usual, self.memory))
+        return self.birth * (odds * self.object + 1 - self.object)
 
     def own(self, detections: Detections) -> tuple[Detections, FloatArray]:
         """The detections that may be of these sources, N of them, and their log-odds (N,).
@@ -232,9 +243,12 @@ class Seen:
     looked: float = 0.0
     objects: float = 0.0
 
-    def after(self, dt: float, number: float) -> Seen:
-        """With `number` objects in view for `dt` more seconds."""
-        return Seen(self.looked + dt, self.objects + number * dt)
+    def after(self, dt: float, number: float, memory: float) -> Seen:
+        """With `number` objects in view for `dt` more seconds; what is more than `memory` bears is
+        forgotten, a share of all."""
+        looked = self.looked + dt
+        kept = min(1.0, _LOOKED * memory / looked) if looked > 0 else 1.0
+        return Seen(kept * looked, kept * (self.objects + number * dt))
 
     def abundance(self, usual: float, memory: float) -> float:
         """The scene's expected number of objects in view, in those that are usual: the mean of its

@@ -193,7 +193,7 @@ class PMBMTracker:
         scan = Scan.of(detections)
         if self._marks is not None:
             speaking = "ignore"
-            scan = replace(scan, evidence=evidence, kinds=self._marks.birth)
+            scan = replace(scan, evidence=evidence, kinds=self._birth())
         if speaking == "ignore" and self._from_scores is None:
             return scan
         given = self._score_model.read(detections)
@@ -284,6 +284,13 @@ class PMBMTracker:
         # Undetected objects are merged and dropped where they are settled.
         return replace(limits, prune_undetected=0.0, merge_undetected=0.0)
 
+    def _birth(self) -> FloatArray | None:
+        """Expected new sources of each kind in this scene, in new sources usual; None without
+        marks."""
+        if self._levels is not None:
+            return self._levels.birth_after(self._seen)
+        return None if self._marks is None else self._marks.birth
+
     def _object_share(self) -> FloatArray | None:
         """P(object) of a source of each kind, in this scene; None without marks."""
         if self._levels is not None:
@@ -297,7 +304,8 @@ class PMBMTracker:
         inside = view.share_inside(local.mean, local.cov)[marginal.best]
         if self._levels is not None and self._levels.usual is not None:
             usually = marginal.objects(self._levels.object)
-            self._seen = self._seen.after(dt, float(usually @ inside))
+            number = float(usually @ inside)
+            self._seen = self._seen.after(dt, number, self._levels.memory)
         exists = marginal.objects(self._object_share())
         reported = np.flatnonzero((exists > self.config.report_above) & (inside > 0.5))
         local = local.take(marginal.best[reported])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -125,10 +127,38 @@ def test_one_level_says_nothing_and_is_the_plain_filter():
 def test_the_number_of_objects_of_a_scene_is_a_gamma_variable():
     """Shape usual x memory, rate memory, both raised by what was seen: its mean, in usual ones."""
     assert Seen().abundance(usual=0.4, memory=30.0) == 1.0
-    seen = Seen().after(2.0, 0.0).after(10.0, 3.0)
+    seen = Seen().after(2.0, 0.0, 30.0).after(10.0, 3.0, 30.0)
     assert seen.abundance(0.4, 30.0) == pytest.approx((0.4 * 30 + 30) / (30 + 12) / 0.4)
     crowd = Seen(looked=1e6, objects=8e6)
     assert crowd.abundance(0.4, 30.0) == pytest.approx(20, rel=1e-3)
+
+
+def test_a_scene_is_never_known_for_good():
+    """An hour of an empty road is worth five times the memory, and what is new still counts."""
+    empty = Seen()
+    for _ in range(36_000):
+        empty = empty.after(0.1, 0.0, 2.0)
+    assert (empty.looked, empty.objects) == (pytest.approx(10.0), 0.0)
+    assert empty.abundance(1.5, 2.0) == pytest.approx(1 / 6)
+    busier = empty.after(1.0, 3.0, 2.0)
+    assert (busier.looked, busier.objects) == pytest.approx((10.0, 3.0 * 10 / 11))
+
+
+def test_fewer_objects_come_where_few_have_been():
+    """Births of each level are those of objects and of others: the one scales with the scene, up to
+    what is usual, the other stays."""
+    marks = levels(usual=0.5, memory=3.0)
+    scarce = Seen(looked=15.0, objects=0.0)
+    share = scarce.abundance(0.5, 3.0)
+    assert share == pytest.approx(1 / 6)
+    objects, others = marks.birth * marks.object, marks.birth * (1 - marks.object)
+    assert marks.birth_after(scarce) == pytest.approx(share * objects + others)
+    # The posterior of both views of a source is one: which level, and whether an object.
+    after = share * objects / (share * objects + others)
+    assert marks.object_after(scarce) == pytest.approx(after)
+    assert marks.birth_after(Seen(looked=15.0, objects=90.0)) == pytest.approx(marks.birth)
+    anywhere = replace(marks, usual=None)
+    assert anywhere.birth_after(scarce) == pytest.approx(marks.birth)
 
 
 def test_an_uncertain_source_is_rather_an_object_where_there_are_many():

@@ -213,6 +213,40 @@ def test_what_scores_low_again_and_again_is_no_object(score, reported):
     assert seen == {"everywhere": True, "lasting": reported}
 
 
+@pytest.mark.parametrize(("score", "within"), [(0.95, 2), (0.7, 4), (0.5, 15)])
+def test_the_first_object_after_a_long_empty_time_is_believed(score, within):
+    """However long nothing was there but clutter, and of whatever even odds or better the scores:
+    the object is reported within so many frames, and stays so."""
+    rng = np.random.default_rng(3)
+    tracker = PMBMTracker()
+    reported = []
+    for k in range(3_060):
+        came = k - 3_000
+        position = np.column_stack([rng.uniform(-70, 70, (5, 2)), np.full(5, 0.8)])
+        scores = 1 - np.sqrt(rng.uniform(size=5))
+        if came >= 0:
+            position = np.vstack([position, [20 + came, 3.0, 0.8]])
+            scores = np.append(scores, score)
+        n = len(position)
+        tracks = tracker.step(
+            Detections(
+                time=0.1 * k,
+                position=position,
+                size=np.tile([4.5, 1.9, 1.6], (n, 1)),
+                yaw=np.zeros(n),
+                score=scores,
+                label=np.zeros(n, int),
+                sensor_pose=np.zeros(3),
+            )
+        )
+        if came >= 0:
+            near = np.hypot(*(tracks.position[:, :2] - position[-1, :2]).T) < 2
+            reported.append(near.any())
+    first = reported.index(True)
+    assert first < within
+    assert np.mean(reported[first:]) > 0.95
+
+
 def test_a_new_source_is_as_likely_as_its_score_says():
     """Whatever its level may be: weighted by the shares of the levels, the evidence is the odds."""
     score = np.linspace(0.03, 0.97, 9)

@@ -161,7 +161,7 @@ def test_an_empty_road_and_one_that_empties_settle_at_the_birth_level():
 
 
 def test_ids_are_never_used_again():
-    tracker = PMBMTracker()
+    tracker = PMBMTracker(PMBMConfig(scores="everywhere"))
     seen: set[int] = set()
     for k in range(60):
         born = tracker.step(frame(k * 1.0, [[20.0 * (k % 4), 7.0 * (k % 3)]])).id.tolist()
