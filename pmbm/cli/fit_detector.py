@@ -123,10 +123,13 @@ def command(
     _print("fitted sequences", fitted)
     if judged:
         _print("sequences held back, with the interval of a bootstrap of the fitted ones", judged)
+        alone = between_real(fitted_real, held_real)
+        shared = {row.name for row in judged if not row.inside}
+        shared &= {row.name for row in alone if not row.inside}
         click.echo(
             f"outside the interval: {_outside(judged)}; between the real sequences alone, those "
-            "held back against those fitted, without any model: "
-            f"{_outside(between_real(fitted_real, held_real))}"
+            f"held back against those fitted, without any model: {_outside(alone)}; {len(shared)} "
+            "of them the same"
         )
     outcome = _realism([*real, *held], model) if realism and len(real) + len(held) > 3 else None
     page = out / f"{name}.html"
