@@ -344,9 +344,23 @@ FILTER_PLANTS = [
     _filter(
         "a low score says nothing of the source",
         "marks",
-        "object=np.array([0.25, 0.75, 0.97])",
-        "object=np.array([0.75, 0.75, 0.97])",
+        "object=np.array([0.15, 0.85, 0.97])",
+        "object=np.array([0.85, 0.85, 0.97])",
         by="tests/unit/test_filter_presets.py::test_what_scores_low_again_and_again_is_no_object[0.2-False]",
+    ),
+    _filter(
+        "an empty scene is remembered for good",
+        "marks",
+        "kept = min(1.0, _LOOKED * memory / looked) if looked > 0 else 1.0",
+        "kept = 1.0",
+        by="tests/unit/test_filter_presets.py::test_the_first_object_after_a_long_empty_time_is_believed[0.95-2]",
+    ),
+    _filter(
+        "as many objects come where few have been",
+        "tracker",
+        "return self._levels.birth_after(self._seen)",
+        "return self._levels.birth",
+        by="tests/unit/test_filter_fitting.py::test_the_tracker_expects_fewer_objects_where_few_have_been",
     ),
     _filter(
         "a part is reported in place of the whole",

@@ -161,6 +161,24 @@ def test_fewer_objects_come_where_few_have_been():
     assert anywhere.birth_after(scarce) == pytest.approx(marks.birth)
 
 
+def test_the_tracker_expects_fewer_objects_where_few_have_been():
+    """The odds of a first detection are those of the scene's births."""
+    marks = levels(usual=0.5, memory=3.0)
+    one = frame(0.1, [[5.0, 0.0]], 0.0)
+    said = marks.evidence(marks.own(one)[1])[0]
+    odds, births = [], []
+    for seen in (Seen(), Seen(looked=14.0, objects=0.0)):
+        tracker = PMBMTracker(PMBMConfig.textbook(levels=marks))
+        tracker.step(frame(0.0, [], 0.0))
+        tracker._seen = seen
+        births.append(said @ marks.birth_after(seen))
+        tracker.step(one)
+        (r,) = tracker.density.local.existence
+        odds.append(r / (1 - r))
+    assert odds[1] < 0.7 * odds[0]
+    assert odds[1] / odds[0] == pytest.approx(births[1] / births[0], rel=1e-6)
+
+
 def test_an_uncertain_source_is_rather_an_object_where_there_are_many():
     """Five sure objects raise the odds of a sixth, at a level of even odds, with their number."""
     marks = levels(usual=0.5, memory=3.0)
