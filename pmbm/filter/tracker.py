@@ -184,16 +184,17 @@ class PMBMTracker:
     def _scan(self, detections: Detections) -> Scan:
         """The measurements, with what their scores say under this configuration."""
         config = self.config
-        speaking, evidence = config.scores, None
+        speaking, evidence, births = config.scores, None, None
         if self._levels is not None:
             detections, log_odds = self._levels.own(detections)
             evidence = self._levels.evidence(log_odds)
+            births = self._levels.birth_after(self._seen)
         elif config.kinds is not None:
-            evidence = config.kinds.evidence(detections)
+            evidence, births = config.kinds.evidence(detections), config.kinds.birth
         scan = Scan.of(detections)
         if self._marks is not None:
             speaking = "ignore"
-            scan = replace(scan, evidence=evidence, kinds=self._birth())
+            scan = replace(scan, evidence=evidence, kinds=births)
         if speaking == "ignore" and self._from_scores is None:
             return scan
         given = self._score_model.read(detections)
@@ -283,13 +284,6 @@ class PMBMTracker:
             return limits
         # Undetected objects are merged and dropped where they are settled.
         return replace(limits, prune_undetected=0.0, merge_undetected=0.0)
-
-    def _birth(self) -> FloatArray | None:
-        """Expected new sources of each kind in this scene, in new sources usual; None without
-        marks."""
-        if self._levels is not None:
-            return self._levels.birth_after(self._seen)
-        return None if self._marks is None else self._marks.birth
 
     def _object_share(self) -> FloatArray | None:
         """P(object) of a source of each kind, in this scene; None without marks."""

@@ -358,8 +358,8 @@ FILTER_PLANTS = [
     _filter(
         "as many objects come where few have been",
         "tracker",
-        "return self._levels.birth_after(self._seen)",
-        "return self._levels.birth",
+        "births = self._levels.birth_after(self._seen)",
+        "births = self._levels.birth",
         by="tests/unit/test_filter_fitting.py::test_the_tracker_expects_fewer_objects_where_few_have_been",
     ),
     _filter(
