@@ -82,6 +82,7 @@ def command(
       pmbm fit-detector kitti --root kitti --detections 'kitti/detections/pointrcnn_{class}' \\
           --poses kitti/pose --sequences 0000 0002 0003 --held-back 0006 0008 --out fitted
     """
+    import numpy as np
     from rich.console import Console
     from rich.progress import track
 
@@ -91,7 +92,14 @@ def command(
     from sim.evidence import gather
     from sim.fit import fit_detector
     from sim.fit import refits as models_of_resampled
-    from sim.likeness import between_real, bootstrap, compare, figures, modelled
+    from sim.likeness import (
+        between_real,
+        bootstrap,
+        compare,
+        figures,
+        modelled,
+        outside_by_chance,
+    )
     from sim.toml_door import toml_text
 
     dataset = open_dataset(
@@ -130,6 +138,11 @@ def command(
             f"outside the interval: {_outside(judged)}; between the real sequences alone, those "
             f"held back against those fitted, without any model: {_outside(alone)}; {len(shared)} "
             "of them the same"
+        )
+        chance = 100 * outside_by_chance([*fitted_real, *held_real], len(fitted_real))
+        click.echo(
+            f"of the real sequences' figures, split at random into as many: {chance.mean():.0f} % "
+            f"outside on average, {np.quantile(chance, 0.95):.0f} % in one split of twenty"
         )
     outcome = _realism([*real, *held], model) if realism and len(real) + len(held) > 3 else None
     page = out / f"{name}.html"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -130,7 +131,9 @@ def _fitted(
     groups += [[label] for name, label in labels.items() if name not in together]
     levels = fit_marks(recordings, groups, configs, unjudged)
     for name, label in labels.items():
-        result[name]["levels"] = _table(levels[label])
+        # Fitted as if levels lasted: how they drift is for a tracker to be tuned by.
+        drift = given[name].get("levels", {}).get("drift", 0.0)
+        result[name]["levels"] = _table(replace(levels[label], drift=drift))
     return result
 
 
@@ -147,6 +150,7 @@ def _table(levels: Levels) -> dict[str, Any]:
     return {
         "label": levels.label,
         "scatter": _short(levels.scatter),
+        "drift": levels.drift,
         **shares,
         **(
             {} if levels.usual is None else {"usual": _short(levels.usual), "memory": levels.memory}

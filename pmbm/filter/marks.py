@@ -14,6 +14,7 @@ says less about its existence.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -126,11 +127,13 @@ class Levels:
 
     The scores of one object scatter about a level of its own, and so do those of a pole: frame
     after frame they say the same again.  The tracker learns a source's level, and the level says
-    how probably the source is an object; a long life makes the level certain, not the object.
+    how probably the source is an object; a long life makes the level certain, not the object.  Seen
+    from elsewhere a source may look surer: its level drifts.
 
     label : of the sources; detections of other labels count as rivals alone.  None, of any.
     calibration : log-odds of detections, whose scale the levels are on.
     level (L,) : log-odds, rising.  scatter : sd of a detection's log-odds about its source's level.
+    drift : sd of what a source's level changes by in a second, >= 0; 0, it never does.
     birth (L,) : share of new sources that have each level; adds up to one.
     object (L,) : P(object | level), in [0, 1].
     clutter (L,) : shares of levels in detections that come from no lasting source; adds up to one.
@@ -151,6 +154,7 @@ class Levels:
     birth: FloatArray
     object: FloatArray
     clutter: FloatArray | None
+    drift: float = 0.0
     usual: float | None = None
     memory: float = 30.0
 
@@ -158,6 +162,7 @@ class Levels:
         door = Door(self, "levels")
         levels = np.size(self.level)
         door.number("scatter", above=0.0)
+        door.number("drift", at_least=0.0)
         door.number("memory", above=0.0)
         if self.usual is not None:
             door.number("usual", above=0.0)
@@ -194,6 +199,33 @@ class Levels:
             usual=1.5,
             memory=1.0,
         )
+
+    def after(self, share: FloatArray, dt: float | FloatArray) -> FloatArray:
+        """Shares of levels (H,L) after `dt` seconds, one for all or (H,), from those before.
+
+        Levels walk at random from each to its neighbours and stay between the lowest and the
+        highest, so that two intervals are one of both.
+        """
+        if self.drift == 0:
+            return share
+        modes, back, rate = self._walk
+        moved: FloatArray = ((share @ modes) * np.exp(np.multiply.outer(dt, rate))) @ back
+        return moved.clip(min=0.0)
+
+    @cached_property
+    def _walk(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Eigenvectors (L,L) of the walk's generator, their inverse, and eigenvalues (L,), 1/s."""
+        gap = np.diff(self.level)
+        room = np.append(gap, gap[-1:]) + np.append(gap[:1], gap)
+        up, down = self.drift**2 / (gap * room[:-1]), self.drift**2 / (gap * room[1:])
+        # The walk is reversible: scaled by the root of how long it stays at each level in the long
+        # run, its generator is symmetric.
+        root = np.exp(0.5 * np.append(0.0, np.cumsum(np.log(up / down))))
+        between = np.sqrt(up * down)
+        symmetric = np.diag(between, 1) + np.diag(between, -1)
+        symmetric -= np.diag(np.append(up, 0.0) + np.append(0.0, down))
+        rate, vector = np.linalg.eigh(symmetric)
+        return vector / root[:, None], vector.T * root, rate
 
     def object_after(self, seen: Seen) -> FloatArray:
         """(L,) P(object | level) in a scene of which so much has been seen."""

@@ -14,7 +14,7 @@ from pmbm.filter.density import Index, Locals, Mixture
 from pmbm.types import FloatArray, Site
 
 if TYPE_CHECKING:
-    from pmbm.filter.marks import Visibility
+    from pmbm.filter.marks import Levels, Visibility
     from pmbm.filter.occlusion import Shadows
 
 LEAST_VISIBLE_TO_BE_SEEN = 0.05
@@ -28,6 +28,7 @@ class Transition:
 
     F (4,4), Q (4,4) over [x, y, vx, vy]; survival : P_S over the interval.
     dt : s.  visibility : how the detector loses and finds objects meanwhile, or None.
+    levels : how sure it is of each, which drifts, or None.
     """
 
     F: FloatArray
@@ -35,6 +36,7 @@ class Transition:
     survival: float
     dt: float = 0.0
     visibility: Visibility | None = None
+    levels: Levels | None = None
 
 
 def constant_velocity(dt: float, spectral_density: float) -> tuple[FloatArray, FloatArray]:

@@ -34,7 +34,7 @@ def predict(
             local.label,
             local.history,
             local.confidence,
-            local.kind,
+            _kinds(local.kind, transition),
             _seen(local.seen, transition),
         ),
         density.hypotheses,
@@ -67,6 +67,12 @@ def _diluted(origin: Origin | None, share: FloatArray) -> Origin | None:
     kept = origin.share.copy()
     kept[: len(share)] *= 1 - share
     return Origin(origin.track, kept)
+
+
+def _kinds(kind: FloatArray | None, transition: Transition) -> FloatArray | None:
+    if kind is None or transition.levels is None:
+        return kind
+    return transition.levels.after(kind, transition.dt)
 
 
 def _seen(seen: FloatArray | None, transition: Transition) -> FloatArray | None:

@@ -211,7 +211,7 @@ class PMBMTracker:
         config = self.config
         F, Q = constant_velocity(dt, config.spectral_density)
         survival = survival_over(dt, config.survival, config.survival_interval)
-        return Transition(F, Q, survival, dt, config.visibility)
+        return Transition(F, Q, survival, dt, config.visibility, self._levels)
 
     def _first(self, view: View) -> Mixture:
         if self.config.undetected_detail is not None:

@@ -363,6 +363,20 @@ FILTER_PLANTS = [
         by="tests/unit/test_filter_fitting.py::test_the_tracker_expects_fewer_objects_where_few_have_been",
     ),
     _filter(
+        "a level lasts though it should drift",
+        "prediction",
+        "return transition.levels.after(kind, transition.dt)",
+        "return kind",
+        by="tests/unit/test_filter_drift.py::test_a_drifting_level_is_learned_by_bayes_rule",
+    ),
+    _filter(
+        "levels wander off to where they lie close",
+        "marks",
+        "up, down = self.drift**2 / (gap * room[:-1]), self.drift**2 / (gap * room[1:])",
+        "up = down = self.drift**2 / (2 * gap**2)",
+        by="tests/unit/test_filter_drift.py::test_the_walk_is_that_of_its_generator",
+    ),
+    _filter(
         "a part is reported in place of the whole",
         "estimation",
         "area[b] > _WHOLE * area[a]",

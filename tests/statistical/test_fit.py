@@ -20,7 +20,15 @@ from pmbm.types import Site
 from sim.detector import load_profile
 from sim.evidence import gather
 from sim.fit import fit_detector, refits
-from sim.likeness import Figure, between_real, bootstrap, compare, figures, modelled
+from sim.likeness import (
+    Figure,
+    between_real,
+    bootstrap,
+    compare,
+    figures,
+    modelled,
+    outside_by_chance,
+)
 from sim.realism import FEATURES, area, two_sample
 from sim.replay import replay
 
@@ -207,7 +215,8 @@ def test_likeness_is_close_for_the_right_model_and_not_for_a_wrong_one(recording
     assert any(row.name.startswith("recall") and abs(row.difference) > 0.1 for row in off)
 
 
-def test_the_bootstrap_covers_what_models_of_so_many_recordings_do_on_others():
+@pytest.mark.parametrize(("fit", "hold"), [(15, 15), (9, 7), (5, 5)])
+def test_the_bootstrap_covers_what_models_of_so_many_recordings_do_on_others(fit, hold):
     rng = np.random.default_rng(11)
 
     def sequence(level):
@@ -218,12 +227,13 @@ def test_the_bootstrap_covers_what_models_of_so_many_recordings_do_on_others():
 
     inside, inside_one_model = [], []
     for _ in range(300):
-        fitted, held = rng.normal(0.5, 0.1, 15), rng.normal(0.5, 0.1, 15)
-        refitted = [model_of(rng.choice(fitted, 15), 15) for _ in range(40)]
+        fitted, held = rng.normal(0.5, 0.1, fit), rng.normal(0.5, 0.1, hold)
+        refitted = [model_of(rng.choice(fitted, fit), fit) for _ in range(40)]
         real = [sequence(level) for level in fitted], [sequence(level) for level in held]
-        made = model_of(fitted, 15)
-        inside.append(bootstrap(real[0], refitted, real[1], made, draws=400)[0].inside)
-        inside_one_model.append(bootstrap(real[0], [made], real[1], made, draws=400)[0].inside)
+        made = model_of(fitted, hold)
+        inside.append(bootstrap(real[0], refitted, real[1], made, draws=800)[0].inside)
+        made = model_of(fitted, fit)
+        inside_one_model.append(bootstrap(real[0], [made], real[1], made, draws=800)[0].inside)
     assert stats.binom.cdf(sum(inside), 300, 0.95) > 1e-4
     assert stats.binom.cdf(sum(inside_one_model), 300, 0.95) < 1e-4  # it leaves out half the error
 
@@ -264,6 +274,7 @@ def test_a_fit_makes_up_for_boxes_that_overlap_too_little_to_be_matched():
 
 def test_recordings_of_another_kind_leave_the_interval_without_any_model(recordings):
     real = [figures(recording) for recording in recordings]
+    assert outside_by_chance(real, 6, splits=5).mean() < 0.15
     alike = between_real(real[:6], real[6:], draws=400)
     assert len(alike) > 10
     assert np.mean([row.inside for row in alike]) > 0.85
@@ -303,16 +314,17 @@ def test_a_recording_without_boxes_or_objects_fits_too():
 
 
 TUNING = ["0000", "0002", "0003", "0004", "0005", "0007", "0009", "0011", "0017"]
+HELD_BACK = ["0006", "0008", "0010", "0012", "0014", "0015", "0016"]
 DATA = os.environ.get("PMBM_DATA")
 
 
-def real_detections():
+def real_detections(sequences=TUNING):
     from pmbm.datasets.kitti import Kitti
 
     root = Path(DATA) / "kitti"
     files = str(root / "detections/pointrcnn_{class}")
     folder = Kitti(root=root, detections=files, poses=root / "pose")
-    return [with_origins(folder.recording(name)) for name in TUNING]
+    return [with_origins(folder.recording(name)) for name in sequences]
 
 
 @pytest.mark.slow
@@ -340,6 +352,34 @@ def test_pointrcnn_on_kitti_is_modelled_within_the_bars(verified):
     )
     assert len(compared) > 50
     assert not outside
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA, reason="PMBM_DATA is not set: no real detections")
+def test_held_back_sequences_are_as_near_to_the_model_as_to_other_real_ones(verified):
+    fitted, held = real_detections(), real_detections(HELD_BACK)
+    model = fit_detector(fitted, min_iou=0.25)
+    made = [
+        figures(recording)
+        for trial in range(4)
+        for recording in modelled(model, held, 7, trial, min_iou=0.25)
+    ]
+    real, held_real = [figures(r) for r in fitted], [figures(r) for r in held]
+    rows = bootstrap(real, list(refits(fitted, 12, min_iou=0.25)), held_real, made)
+    outside = np.mean([not row.inside for row in rows])
+    chance = outside_by_chance([*real, *held_real], len(real))
+    verified(
+        "fit_kitti_held_back",
+        f"share of {len(rows)} figures of the held-back KITTI sequences outside the interval of a "
+        "bootstrap of the fitted ones, against the share in one of twenty random splits of the "
+        f"real sequences, without any model ({chance.mean():.3f} on average): "
+        + ", ".join(row.name for row in rows if not row.inside),
+        round(float(outside), 3),
+        round(float(np.quantile(chance, 0.95)), 3),
+        bool(outside <= np.quantile(chance, 0.95)),
+    )
+    assert len(rows) > 50
+    assert outside <= np.quantile(chance, 0.95)
 
 
 @pytest.mark.slow

@@ -1,0 +1,80 @@
+"""Levels of scores, frames with raw scores, and a street of cars and poles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pmbm.filter import Levels
+from pmbm.score import Calibration
+from pmbm.types import CLUTTER, Detections, GroundTruth, Label, Recording, Site
+
+PLAIN = Calibration(offset=np.zeros(7), slope=np.ones(7), per_metre=np.zeros(7))
+
+
+def levels(**changes):
+    return Levels(
+        **{
+            "label": Label.CAR,
+            "calibration": PLAIN,
+            "level": [-2.0, 0.0, 2.0],
+            "scatter": 1.0,
+            "birth": [0.6, 0.2, 0.2],
+            "object": [0.02, 0.5, 0.98],
+            "clutter": [0.9, 0.08, 0.02],
+            **changes,
+        }
+    )
+
+
+def frame(when, xy, raw, label=Label.CAR):
+    xy = np.reshape(np.asarray(xy, float), (-1, 2))
+    n = len(xy)
+    return Detections(
+        time=when,
+        position=np.column_stack([xy, np.ones(n)]),
+        size=np.tile([4.0, 2.0, 1.5], (n, 1)),
+        yaw=np.zeros(n),
+        score=np.full(n, 0.5),
+        raw_score=np.broadcast_to(raw, n).astype(float),
+        label=np.broadcast_to(label, n).astype(int),
+    )
+
+
+def street(seed, frames=60, poles=6, cars=4):
+    """Cars of high scores and poles of low ones, all standing, and chance clutter; with origins."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(-60, 60, (cars + poles, 2))
+    level = np.r_[rng.normal(3, 0.7, cars), rng.normal(-2, 0.7, poles)]
+    truth, given, origin = [], [], []
+    for k in range(frames):
+        truth.append(
+            GroundTruth(
+                time=0.1 * k,
+                id=np.arange(cars),
+                position=np.column_stack([place[:cars], np.ones(cars)]),
+                size=np.tile([4.0, 2.0, 1.5], (cars, 1)),
+                yaw=np.zeros(cars),
+                velocity=np.zeros((cars, 2)),
+                label=np.full(cars, Label.CAR),
+                visibility=np.ones(cars),
+                observable=np.ones(cars, bool),
+                crashed=np.zeros(cars, bool),
+            )
+        )
+        seen = np.flatnonzero(rng.random(cars + poles) < 0.9)
+        stray = rng.uniform(-80, 80, (rng.poisson(1), 2))
+        where = np.concatenate([place[seen] + rng.normal(0, 0.1, (len(seen), 2)), stray])
+        raw = np.r_[level[seen] + rng.normal(0, 1, len(seen)), rng.normal(-2, 1, len(stray))]
+        given.append(frame(0.1 * k, where, raw))
+        origin.append(np.r_[np.where(seen < cars, seen, CLUTTER), np.full(len(stray), CLUTTER)])
+    return Recording(
+        name="street",
+        site=Site(),
+        truth=tuple(truth),
+        detections=tuple(given),
+        frame=np.arange(frames),
+        stamp=np.arange(frames),
+        origin=tuple(origin),
+        object_name={i: str(i) for i in range(cars)},
+        provenance={},
+    )
