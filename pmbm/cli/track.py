@@ -113,8 +113,7 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
     """Every label's tracks, smoothed over the whole recording.
 
     Tracks are followed from a tenth of the existence at which they are kept on, so that one
-    that is reported later may begin where it first appeared, and a whole life is judged by one
-    level of its scores: it does not drift.  Raises InputError for a tracker that
+    that is reported later may begin where it first appeared.  Raises InputError for a tracker that
     is not the PMBM tracker.
     """
     import dataclasses
@@ -132,10 +131,7 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
                 hint="use --tracker pmbm or --mode online",
             )  # fmt: skip
         config = tracker.config
-        levels = config.levels and dataclasses.replace(config.levels, drift=0.0)
-        early = dataclasses.replace(
-            config, report_above=config.keep_above / 10, newest_box=1.0, levels=levels
-        )
+        early = dataclasses.replace(config, report_above=config.keep_above / 10, newest_box=1.0)
         own = tuple(seen_by(tracker, label, frame) for frame in recording.detections)
         alone = dataclasses.replace(recording, detections=own, origin=None)
         found = run(PMBMTracker(early, recording.site), alone, record=True)

@@ -64,10 +64,14 @@ class Scan:
         return Scan(position, np.ones((len(position), 5)), np.zeros(len(position), np.int8))
 
     @staticmethod
-    def of(detections: Detections) -> Scan:
+    def of(
+        detections: Detections,
+        evidence: FloatArray | None = None,
+        kinds: FloatArray | None = None,
+    ) -> Scan:
         """The boxes of a frame; their scores are the business of who knows what they mean."""
         box = np.empty((len(detections), 5))
         box[:, 0] = detections.position[:, 2]
         box[:, 1:4] = detections.size
         box[:, 4] = detections.yaw
-        return Scan(detections.position[:, :2], box, detections.label)
+        return Scan(detections.position[:, :2], box, detections.label, evidence, kinds)

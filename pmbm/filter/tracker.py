@@ -65,6 +65,8 @@ class PMBMTracker:
         self._levels = _levels(self.config, self._score_model)
         self._marks = self._levels or self.config.kinds
         self._seen = Seen()
+        self._limits = _limits(self.config)
+        self._noise = self.config.measurement_sd**2 * np.eye(2)
         self.takes_all_labels = (
             self.config.levels is not None and self.config.levels.label is not None
         )
@@ -140,7 +142,7 @@ class PMBMTracker:
         unlikely, gated = association.dropped, len(association.known.row)
         # And so does what the scan said.
         del association
-        self.density, reduced = reduce(updated, self._limits())
+        self.density, reduced = reduce(updated, self._limits)
         del updated
         self.reduced = replace(
             reduced,
@@ -191,10 +193,9 @@ class PMBMTracker:
             births = self._levels.birth_after(self._seen)
         elif config.kinds is not None:
             evidence, births = config.kinds.evidence(detections), config.kinds.birth
-        scan = Scan.of(detections)
+        scan = Scan.of(detections, evidence, births)
         if self._marks is not None:
             speaking = "ignore"
-            scan = replace(scan, evidence=evidence, kinds=births)
         if speaking == "ignore" and self._from_scores is None:
             return scan
         given = self._score_model.read(detections)
@@ -265,7 +266,7 @@ class PMBMTracker:
         detailed = config.undetected_detail is not None
         hides = config.occlusion and (detailed or len(predicted.local) > 0)
         return Sensor(
-            R=config.measurement_sd**2 * np.eye(2),
+            R=self._noise,
             detection=config.detection_probability,
             clutter=config.clutter_rate / view.area,
             view=view,
@@ -276,14 +277,6 @@ class PMBMTracker:
             shadows=Shadows.of(predicted, view.pose, self.site.occluders) if hides else None,
             hides_undetected=detailed,
         )
-
-    def _limits(self) -> Limits:
-        config = self.config
-        limits = Limits(**{name: getattr(config, name) for name in Limits.__slots__})
-        if config.undetected_detail is None:
-            return limits
-        # Undetected objects are merged and dropped where they are settled.
-        return replace(limits, prune_undetected=0.0, merge_undetected=0.0)
 
     def _object_share(self) -> FloatArray | None:
         """P(object) of a source of each kind, in this scene; None without marks."""
@@ -350,6 +343,14 @@ def _levels(config: PMBMConfig, scores: ScoreModel) -> Levels | None:
     if config.scores == "lasting" and config.levels is None and config.kinds is None:
         return Levels.at_their_word(scores)
     return config.levels
+
+
+def _limits(config: PMBMConfig) -> Limits:
+    limits = Limits(**{name: getattr(config, name) for name in Limits.__slots__})
+    if config.undetected_detail is None:
+        return limits
+    # Undetected objects are merged and dropped where they are settled.
+    return replace(limits, prune_undetected=0.0, merge_undetected=0.0)
 
 
 def _from_scores(config: PMBMConfig) -> DetectionFromScores | None:

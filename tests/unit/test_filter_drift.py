@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mark_builders import frame, levels, street
+from mark_builders import frame, levels
 from scipy.linalg import expm
 
-from pmbm.cli.track import looked_back
 from pmbm.errors import InputError
 from pmbm.filter import PMBMConfig, PMBMTracker
-from pmbm.study import ConfiguredTracker
-from pmbm.types import Label
 
 
 def walking(at, drift):
@@ -107,28 +104,6 @@ def test_what_looks_surer_from_near_is_believed_in_time():
         believed[drift] = sum(shown[60:])
     assert believed[0.0] == 0
     assert believed[1.0] > 25
-
-
-def test_looked_back_at_a_life_has_one_level():
-    """The batch mode judges a whole life by all of it, drift or none."""
-    made = street(8, frames=25)
-    table = {
-        "label": 0,
-        "scatter": 1.0,
-        "level": [-2.0, 0.0, 2.0],
-        "birth": [0.6, 0.2, 0.2],
-        "object": [0.02, 0.5, 0.98],
-        "clutter": [0.9, 0.08, 0.02],
-        "calibration": {"offset": [0.0] * 7, "slope": [1.0] * 7, "per_metre": [0.0] * 7},
-    }
-    found = [
-        looked_back(made, {Label.CAR: ConfiguredTracker("pmbm", (("levels", {**table, **more}),))})
-        for more in ({}, {"drift": 1.5})
-    ]
-    assert sum(map(len, found[0].steps)) > 0
-    for one, other in zip(found[0].steps, found[1].steps, strict=True):
-        assert one.id.tolist() == other.id.tolist()
-        assert one.score == pytest.approx(other.score)
 
 
 @pytest.mark.parametrize("drift", [-0.1, np.nan, np.inf, "fast"])
