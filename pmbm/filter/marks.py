@@ -162,7 +162,7 @@ class Levels:
         door = Door(self, "levels")
         levels = np.size(self.level)
         door.number("scatter", above=0.0)
-        door.number("drift", at_least=0.0)
+        door.number("drift", at_least=0.0, at_most=1e3)
         door.number("memory", above=0.0)
         if self.usual is not None:
             door.number("usual", above=0.0)
@@ -220,7 +220,7 @@ class Levels:
         up, down = self.drift**2 / (gap * room[:-1]), self.drift**2 / (gap * room[1:])
         # The walk is reversible: scaled by the root of how long it stays at each level in the long
         # run, its generator is symmetric.
-        root = np.exp(0.5 * np.append(0.0, np.cumsum(np.log(up / down))))
+        root = np.exp(0.5 * np.append(0.0, np.cumsum(np.log(room[1:] / room[:-1]))))
         between = np.sqrt(up * down)
         symmetric = np.diag(between, 1) + np.diag(between, -1)
         symmetric -= np.diag(np.append(up, 0.0) + np.append(0.0, down))

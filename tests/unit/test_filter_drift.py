@@ -106,10 +106,19 @@ def test_what_looks_surer_from_near_is_believed_in_time():
     assert believed[1.0] > 25
 
 
-@pytest.mark.parametrize("drift", [-0.1, np.nan, np.inf, "fast"])
-def test_a_drift_is_a_number_that_is_not_negative(drift):
+@pytest.mark.parametrize("drift", [-0.1, 1e4, np.nan, np.inf, "fast"])
+def test_a_drift_is_a_number_within_bounds(drift):
     with pytest.raises(InputError, match="drift"):
         levels(drift=drift)
+
+
+@pytest.mark.parametrize("drift", [1e-200, 1e-9, 1e3])
+def test_the_slowest_and_the_fastest_walk_are_walks(drift):
+    start = np.array([[0.6, 0.2, 0.2]])
+    after = levels(level=[-2.0, 0.0, 5.0], drift=drift).after(start, 10.0)
+    assert after.sum() == pytest.approx(1.0)
+    if drift < 1:
+        assert after == pytest.approx(start, abs=1e-6)
 
 
 def test_one_level_has_nowhere_to_go():

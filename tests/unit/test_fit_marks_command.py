@@ -74,6 +74,16 @@ def test_the_file_is_one_to_track_with(folder):
     assert sorted(last) == pytest.approx([15, 20, 26], abs=0.5)
 
 
+def test_what_is_for_tuning_stays_as_it_was_given(folder):
+    assert fit(folder, "--sequences", "0000") == 0
+    first = (folder / "marks.toml").read_text()
+    assert "drift = 0.0" in first
+    given = folder / "given.toml"
+    given.write_text(first.replace("drift = 0.0", "drift = 0.4"))
+    assert fit(folder, "--sequences", "0000", "--config", given) == 0
+    assert (folder / "marks.toml").read_text() == given.read_text()
+
+
 def test_sequences_for_reporting_are_refused(folder, capsys):
     assert fit(folder, "--sequences", "0000", "0006") == 2
     assert "kept for reporting" in capsys.readouterr().err
