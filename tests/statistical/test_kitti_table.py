@@ -3,6 +3,8 @@
 import functools
 import json
 import os
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -163,3 +165,28 @@ def test_what_an_option_changes(sequences, option, values, tmp_path, capsys):
         tables[f"{option} {value}"] = run(sequences, "--config", config)
     with capsys.disabled():
         show(tables)
+
+
+def test_what_drifting_levels_are_worth_in_cross_validation(tmp_path, capsys):
+    """On the sequences for tuning: people's levels drift, cars' do not, and what each would be the
+    other way round is printed too."""
+    script = Path(__file__).parents[2] / "studies" / "cross_validate_kitti.py"
+    root = Path(os.environ["PMBM_DATA"]) / "kitti"
+    sums = []
+    for changes in (
+        (),
+        (
+            "Pedestrian.levels.drift=0.0",
+            "Cyclist.levels.drift=0.0",
+            "Cyclist.report_above=0.4",
+            "Car.levels.drift=1.0",
+        ),
+    ):
+        command = [sys.executable, script, root, "--work", tmp_path, *changes]
+        said = subprocess.run(command, check=True, text=True, capture_output=True).stdout
+        with capsys.disabled():
+            print("\n" + said)
+        rows = [line.split() for line in said.splitlines()]
+        sums.append({row[0]: float(row[-1]) for row in rows})
+    shipped, other = sums
+    assert all(shipped[kind] > other[kind] for kind in ("Pedestrian", "Cyclist"))

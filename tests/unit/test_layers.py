@@ -18,6 +18,7 @@ LAYERS = [
     {"reports"},
     {"pmbm.testing"},
     {"pmbm.cli", "pmbm.pytest_plugin"},
+    {"pmbm.__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 SIBLINGS = {
