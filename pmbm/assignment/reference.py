@@ -128,10 +128,10 @@ def murty(
     Source: K. G. Murty, An algorithm for ranking all the assignments in order of increasing cost,
     Operations Research 16(3), 1968.
     """
-    rows = len(cost)
+    rows, table = len(cost), cost.tolist()
     queue: list[_Node] = []
     if rows <= cost.shape[1]:
-        _enqueue(queue, cost, (), frozenset())
+        _enqueue(queue, cost, table, (), frozenset())
     best: list[_Node] = []
     while queue and k > 0:
         node = heapq.heappop(queue)
@@ -145,7 +145,7 @@ def murty(
             reduced = _reduced(cost, list(node.columns))
         for row in _within(margin, reduced, node):
             inherited = node.forbidden if row == node.fixed else frozenset()
-            _enqueue(queue, cost, node.columns[:row], inherited | {node.columns[row]})
+            _enqueue(queue, cost, table, node.columns[:row], inherited | {node.columns[row]})
     # The sums of two assignments may differ by rounding where the partition takes them for equal.
     best.sort()
     columns = np.array([node.columns for node in best], dtype=np.int32).reshape(len(best), rows)
@@ -182,23 +182,27 @@ def _within(margin: float, reduced: Matrix, node: _Node) -> list[int]:
 
 
 def _enqueue(
-    queue: list[_Node], cost: Matrix, prefix: tuple[int, ...], forbidden: frozenset[int]
+    queue: list[_Node],
+    cost: Matrix,
+    table: list[list[float]],
+    prefix: tuple[int, ...],
+    forbidden: frozenset[int],
 ) -> None:
-    """Solve one part, and put it into the queue unless it is empty."""
+    """Solve one part, and put it into the queue unless it is empty; table : the costs as lists."""
     # Columns taken are forbidden to the rows that are left; leaving them out would take longer.
     rest = cost[len(prefix) :].copy()
-    rest[:, list(prefix)] = np.inf
-    rest[:1, list(forbidden)] = np.inf
+    if prefix:
+        rest[:, prefix] = np.inf
+    if forbidden:
+        rest[0, list(forbidden)] = np.inf
     try:
         _, chosen = linear_sum_assignment(rest)
     except ValueError:
         # scipy's word for "no assignment without a forbidden pair".
         return
-    columns = [*prefix, *chosen.tolist()]
-    heapq.heappush(queue, _Node(_total(cost, columns), tuple(columns), len(prefix), forbidden))
-
-
-def _total(cost: Matrix, columns: list[int]) -> float:
-    """The cost of an assignment, added in the order of its rows."""
-    taken = cost[np.arange(len(columns)), columns]
-    return float(taken.cumsum()[-1]) if len(taken) else 0.0
+    columns = (*prefix, *chosen.tolist())
+    # Added in the order of the rows: two equal assignments have equal costs to the bit.
+    total = 0.0
+    for row, column in zip(table, columns, strict=True):
+        total += row[column]
+    heapq.heappush(queue, _Node(total, columns, len(prefix), forbidden))

@@ -259,9 +259,9 @@ class Levels:
 
     def evidence(self, log_odds: FloatArray) -> FloatArray:
         """(M,L) p(log-odds | level) / p(log-odds | clutter) of detections (M,)."""
-        apart = (log_odds[:, None] - self.level) / self.scatter
-        nearest = np.abs(apart).min(axis=1, initial=np.inf, keepdims=True)
-        height = np.exp(0.5 * (nearest**2 - apart**2))
+        apart = np.square((log_odds[:, None] - self.level) / self.scatter)
+        nearest = apart.min(axis=1, initial=np.inf, keepdims=True)
+        height = np.exp(0.5 * (nearest - apart))
         if self.clutter is not None:
             return height / np.maximum(height @ self.clutter, 1e-6)[:, None]
         return height * (np.exp(log_odds) / np.maximum(height @ self.birth, 1e-6))[:, None]
