@@ -24,7 +24,7 @@ FOLDS = (("0000", "0004", "0011"), ("0002", "0007", "0017"), ("0003", "0005", "0
 SUMMED = ("MOTA", "IDF1", "HOTA")
 
 
-def main() -> None:
+def command_line() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -32,6 +32,11 @@ def main() -> None:
     parser.add_argument("changes", nargs="*", metavar="CLASS.OPTION=VALUE", type=_change)
     parser.add_argument("--mode", choices=("online", "batch"), default="online")
     parser.add_argument("--work", type=Path, default=Path("cross_validation"))
+    return parser
+
+
+def main() -> None:
+    parser = command_line()
     options = parser.parse_intermixed_args()
     options.work.mkdir(parents=True, exist_ok=True)
     for number, fold in enumerate(FOLDS):

@@ -278,8 +278,8 @@ FILTER_PLANTS = [
     _filter(
         "position noise in place of its square",
         "tracker",
-        "R=config.measurement_sd**2 * np.eye(2)",
-        "R=config.measurement_sd * np.eye(2)",
+        "self._noise = self.config.measurement_sd**2 * np.eye(2)",
+        "self._noise = self.config.measurement_sd * np.eye(2)",
         by="tests/unit/test_filter_tracker.py::test_a_lone_object_is_a_kalman_filter",
     ),
     _filter(

@@ -2,6 +2,7 @@
 
 import importlib
 import re
+import runpy
 import shlex
 import shutil
 from pathlib import Path
@@ -23,6 +24,9 @@ SAMPLES = [
 @pytest.mark.parametrize("line", LINES)
 def test_every_command_is_one_that_there_is(line):
     program, name, *words = shlex.split(line)
+    if program == "python":
+        runpy.run_path(str(ROOT / name))["command_line"]().parse_intermixed_args(words)
+        return
     assert program == "pmbm"
     assert name in _COMMANDS
     command = importlib.import_module(f"pmbm.cli.{name}").command
