@@ -126,6 +126,11 @@ class Comparison:
         return self.interval is None or self.interval[0] <= self.difference <= self.interval[1]
 
 
+def outside(rows: Sequence[Comparison]) -> list[str]:
+    """Names of the figures that leave their interval."""
+    return [row.name for row in rows if not row.inside]
+
+
 def compare(
     real: Sequence[dict[str, Figure]], model: Sequence[dict[str, Figure]]
 ) -> list[Comparison]:
@@ -211,7 +216,7 @@ def outside_by_chance(
         order = rng.permutation(len(recordings))
         one, other = ([recordings[row] for row in part] for part in np.split(order, [fitted]))
         rows = between_real(one, other, draws=1000)
-        shares.append(np.mean([not row.inside for row in rows]) if rows else 0.0)
+        shares.append(len(outside(rows)) / max(len(rows), 1))
     return np.array(shares)
 
 

@@ -3,9 +3,9 @@
     python studies/cross_validate_kitti.py KITTI [--mode batch] [Car.levels.drift=1.0 ...]
 
 Threefold: what scores and misses say is fitted to two thirds of the sequences, the third is tracked
-with it, and each class is scored over all three.  Options stand for the preset's; a second run in
-the same folder (--work) fits nothing anew where the options do not change what is fitted.  The
-sequences for reporting are never read.
+with it, and each class is scored over all three.  The fit is that of the preset as it ships, made
+once in a folder (--work); options are put into what was fitted.  The sequences for reporting are
+never read.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def levels(**changes):
     )
 
 
-def frame(when, xy, raw, label=Label.CAR):
+def frame(when, xy, raw=None, label=Label.CAR, score=0.5):
     xy = np.reshape(np.asarray(xy, float), (-1, 2))
     n = len(xy)
     return Detections(
@@ -34,8 +34,8 @@ def frame(when, xy, raw, label=Label.CAR):
         position=np.column_stack([xy, np.ones(n)]),
         size=np.tile([4.0, 2.0, 1.5], (n, 1)),
         yaw=np.zeros(n),
-        score=np.full(n, 0.5),
-        raw_score=np.broadcast_to(raw, n).astype(float),
+        score=np.broadcast_to(score, n).copy(),
+        raw_score=None if raw is None else np.broadcast_to(raw, n).astype(float),
         label=np.broadcast_to(label, n).astype(int),
     )
 

@@ -98,6 +98,7 @@ def command(
         compare,
         figures,
         modelled,
+        outside,
         outside_by_chance,
     )
     from sim.toml_door import toml_text
@@ -132,12 +133,12 @@ def command(
     if judged:
         _print("sequences held back, with the interval of a bootstrap of the fitted ones", judged)
         alone = between_real(fitted_real, held_real)
-        shared = {row.name for row in judged if not row.inside}
-        shared &= {row.name for row in alone if not row.inside}
+        left, left_alone = outside(judged), outside(alone)
+        shared = len(set(left) & set(left_alone))
         click.echo(
-            f"outside the interval: {_outside(judged)}; between the real sequences alone, those "
-            f"held back against those fitted, without any model: {_outside(alone)}; {len(shared)} "
-            "of them the same"
+            f"outside the interval: {len(left)} of {len(judged)} figures; between the real "
+            "sequences alone, those held back against those fitted, without any model: "
+            f"{len(left_alone)} of {len(alone)} figures; {shared} of them the same"
         )
         chance = 100 * outside_by_chance([*fitted_real, *held_real], len(fitted_real))
         click.echo(
@@ -184,10 +185,6 @@ def _modelled_figures(
         for trial in range(trials)
     ]
     return [pooled(parts) for parts in zip(*made, strict=True)]
-
-
-def _outside(rows: Sequence[Comparison]) -> str:
-    return f"{sum(not row.inside for row in rows)} of {len(rows)} figures"
 
 
 def _realism(recordings: Sequence[Recording], model: DetectorModel) -> Realism:

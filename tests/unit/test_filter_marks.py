@@ -6,27 +6,15 @@ import itertools
 
 import numpy as np
 import pytest
+from mark_builders import frame
 
 from pmbm.errors import InputError
 from pmbm.filter import Kinds, PMBMConfig, PMBMTracker, Visibility
 from pmbm.filter.marks import GHOST
 from pmbm.score import ScoreModel
-from pmbm.types import Detections, Label
+from pmbm.types import Label
 
 SCORES = ScoreModel(knot=[0.0, 1.0], log_odds=[-3.0, 3.0], base_rate=0.5)
-
-
-def frame(when, xy, score=0.5, label=Label.CAR):
-    xy = np.reshape(np.asarray(xy, float), (-1, 2))
-    n = len(xy)
-    return Detections(
-        time=when,
-        position=np.column_stack([xy, np.ones(n)]),
-        size=np.tile([4.0, 2.0, 1.5], (n, 1)),
-        yaw=np.zeros(n),
-        score=np.broadcast_to(score, n).copy(),
-        label=np.broadcast_to(label, n).astype(int),
-    )
 
 
 def traffic(seed, frames=40, poles=0, burst=0.0):
@@ -50,7 +38,7 @@ def traffic(seed, frames=40, poles=0, burst=0.0):
                 rng.beta(2, 5, len(clutter)),
             ]
         )
-        made.append(frame(0.1 * k, z + rng.normal(0, 0.2, z.shape), score))
+        made.append(frame(0.1 * k, z + rng.normal(0, 0.2, z.shape), score=score))
         truth.append(cars)
     return truth, made
 
@@ -147,7 +135,7 @@ def test_kinds_follow_bayes_rule():
     tracker = PMBMTracker(PMBMConfig.textbook(kinds=kinds, clutter_rate=1e-9))
     scores, labels = [0.9, 0.3, 0.7], [Label.CAR, Label.TRUCK, Label.CAR]
     for k, (score, label) in enumerate(zip(scores, labels, strict=True)):
-        tracks = tracker.step(frame(0.1 * k, [[5.0, 0.0]], score, label))
+        tracks = tracker.step(frame(0.1 * k, [[5.0, 0.0]], label=label, score=score))
     weight = kinds.birth.copy()
     for score, label in zip(scores, labels, strict=True):
         ratio = np.exp(6 * score - 3)
