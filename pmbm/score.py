@@ -248,13 +248,11 @@ class Calibration:
             raise InputError(
                 "the calibration reads raw scores, and the detections have none", field="raw_score"
             )
-        x, y, _ = detections.sensor_pose
-        away = np.hypot(detections.position[:, 0] - x, detections.position[:, 1] - y)
         own = detections.label
         return (
             self.offset[own]
             + self.slope[own] * detections.raw_score
-            + self.per_metre[own] * np.clip(away, self.near, self.far)
+            + self.per_metre[own] * detections.distance.clip(self.near, self.far)
         )
 
 

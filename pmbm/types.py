@@ -97,6 +97,12 @@ class Detections:
     def __len__(self) -> int:
         return len(self.position)
 
+    @property
+    def distance(self) -> FloatArray:
+        """(N,) m from the sensor on the ground."""
+        x, y, _ = self.sensor_pose
+        return np.hypot(self.position[:, 0] - x, self.position[:, 1] - y)
+
     @classmethod
     def empty(cls, time: float, sensor_pose: ArrayLike = (0.0, 0.0, 0.0)) -> Detections:
         """A frame in which the sensor looked and saw nothing."""

@@ -139,19 +139,23 @@ def _fitted(
 
 def _table(levels: Levels) -> dict[str, Any]:
     """As a file has it, to the digits that tell."""
-    shares = {name: _shortened(getattr(levels, name)) for name in ("level", "object")}
-    for name in ("birth", "clutter"):
-        rounded = [round(value, 5) for value in getattr(levels, name).tolist()]
-        # What rounding takes goes to the largest, so that the shares still add up to one.
-        top = rounded.index(max(rounded))
-        rounded[top] = round(rounded[top] + 1 - sum(rounded), 5)
-        shares[name] = rounded
     calibration = levels.calibration
+    births: dict[str, Any] = (
+        {"birth": _shares(levels.birth)}
+        if levels.birth_at is None
+        else {
+            "birth_at": _shortened(levels.birth_at),
+            "birth": [_shares(row) for row in levels.birth],
+        }
+    )
     return {
         "label": levels.label,
         "scatter": _short(levels.scatter),
         "drift": levels.drift,
-        **shares,
+        "level": _shortened(levels.level),
+        "object": _shortened(levels.object),
+        **births,
+        "clutter": _shares(levels.clutter),
         **(
             {} if levels.usual is None else {"usual": _short(levels.usual), "memory": levels.memory}
         ),
@@ -163,6 +167,14 @@ def _table(levels: Levels) -> dict[str, Any]:
 
 
 _BY_LABEL = ("offset", "slope", "per_metre")
+
+
+def _shares(values: Any) -> list[float]:
+    """Rounded; what that takes goes to the largest, so that they still add up to one."""
+    rounded = [round(value, 5) for value in values.tolist()]
+    top = rounded.index(max(rounded))
+    rounded[top] = round(rounded[top] + 1 - sum(rounded), 5)
+    return rounded
 
 
 def _shortened(values: Any) -> list[float]:

@@ -31,6 +31,14 @@ _FEWEST = 1.0
 """Seconds of looking, and of objects seen, that recordings are taken to hold at least."""
 _LASTING = 2
 """Detections from which a source is no chance clutter."""
+_BIRTH_AT = np.arange(5.0, 80.0, 10.0)
+"""m from the sensor at which the levels of new sources are told apart."""
+_BESIDE = 8.0
+"""m, the standard deviation within which sources say something of such a distance."""
+_ANYWHERE = 2.0
+"""Sources of any distance that those of one distance are held to."""
+_MANY = 100
+"""Objects from which on it shows where they come into view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +97,7 @@ def sources(
         assert density is not None
         best = marginals(density).best
         taken = density.local.history[best, -1]
-        x, y, _ = own.sensor_pose
-        away = np.hypot(own.position[:, 0] - x, own.position[:, 1] - y)
+        away = own.distance
         for track in np.flatnonzero(taken > MISSED).tolist():
             one = int(taken[track])
             hit = bool(origin[rows[one]] != CLUTTER)
@@ -166,6 +173,7 @@ def fit_marks(
             group[0],
             calibration,
             np.concatenate([each.abundance for each in told.values()]),
+            np.concatenate([each.first for each in told.values()]),
         )
         for label, each in told.items():
             levels[Label(label)] = replace(fitted, label=int(label), usual=each.usual)
@@ -175,11 +183,13 @@ def fit_marks(
 @dataclass(frozen=True, eq=False)
 class _Told:
     """S sources of a label: the log-odds (n,) of each one's detections, whether it is an object
-    (S,), and the abundance (S,) of others around it, in those that are `usual`."""
+    (S,), the abundance (S,) of others around it, in those that are `usual`, and the distance (S,)
+    of its first detection."""
 
     log_odds: Sequence[FloatArray]
     object: BoolArray
     abundance: FloatArray
+    first: FloatArray
     usual: float
 
 
@@ -191,15 +201,16 @@ def _told(
     each = seconds / [len(one.detections) for one in recordings]
     shown = each * [part.object.sum() for part in found]
     usual = float(max(shown.sum(), _FEWEST) / max(seconds.sum(), _FEWEST))
-    said, real, abundance = [], [], []
+    said, real, abundance, first = [], [], [], []
     for k, (part, values) in enumerate(zip(found, log_odds, strict=True)):
         for one in range(int(part.source.max(initial=-1)) + 1):
             rows = np.flatnonzero(part.source == one)
             said.append(values[part.row[rows]])
             real.append(bool(part.object[rows[0]]))
+            first.append(part.range[rows[0]])
             others = Seen(seconds[k], shown[k] - real[-1] * len(rows) * each[k])
             abundance.append(others.abundance(usual, Levels.memory))
-    return _Told(said, np.array(real, bool), np.array(abundance), usual)
+    return _Told(said, np.array(real, bool), np.array(abundance), np.array(first), usual)
 
 
 def fit_log_odds(
@@ -218,11 +229,14 @@ def fit_levels(
     label: Label,
     calibration: Calibration,
     abundance: FloatArray | None = None,
+    first: FloatArray | None = None,
 ) -> Levels:
     """The levels of S sources, each with the log-odds (n,) of its detections, by
     expectation-maximisation.
 
     abundance (S,) : of the objects around each source, in those that are usual.
+    first (S,) : m from the sensor, of each source's first detection; None, or fewer than a hundred
+        objects: births are the same at any distance.
 
     Scatter is that within the sources.  P(object | level) is a logistic curve.  Sources of a single
     detection that are no objects tell what clutter looks like.
@@ -258,6 +272,16 @@ def fit_levels(
         np.add.at(total, scene, each * worth[:, None])
         np.add.at(positive, scene, each * (worth * y[lasts])[:, None])
         weight = _logistic_fit(rows, positive.ravel(), total.ravel(), weight, shift)
+    birth_at = None
+    if first is not None and y[lasts].sum() >= _MANY:
+        birth_at, anywhere = _BIRTH_AT, birth
+        birth = np.empty((len(birth_at), _LEVELS))
+        for row, away in enumerate(birth_at):
+            near = np.exp(-0.5 * ((first[lasts] - away) / _BESIDE) ** 2)
+            birth[row] = anywhere
+            for _ in range(_ROUNDS):
+                each = near @ _normalised(fit[lasts] + np.log(birth[row]) + np.log(said))
+                birth[row] = _shares(each + _ANYWHERE * anywhere)
     clutter = np.full(_LEVELS, 1 / _LEVELS)
     alone = fit[~lasts & ~y]
     for _ in range(_ROUNDS if len(alone) else 0):
@@ -268,6 +292,7 @@ def fit_levels(
         level=level,
         scatter=float(np.sqrt(variance)),
         birth=birth,
+        birth_at=birth_at,
         object=_logistic(design @ weight),
         clutter=clutter,
     )

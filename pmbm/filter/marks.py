@@ -134,7 +134,10 @@ class Levels:
     calibration : log-odds of detections, whose scale the levels are on.
     level (L,) : log-odds, rising.  scatter : sd of a detection's log-odds about its source's level.
     drift : sd of what a source's level changes by in a second, >= 0; 0, it never does.
-    birth (L,) : share of new sources that have each level; adds up to one.
+    birth (L,) or (R,L) : share of new sources that have each level; adds up to one, at each of R
+        distances.  What comes into view far off is mostly an object, what appears near by is not.
+    birth_at (R,) or None : those distances, m from the sensor, rising; shares are linear between
+        them and constant beyond.
     object (L,) : P(object | level), in [0, 1].
     clutter (L,) : shares of levels in detections that come from no lasting source; adds up to one.
         None, the log-odds say themselves how much likelier a new source is than such a detection.
@@ -154,6 +157,7 @@ class Levels:
     birth: FloatArray
     object: FloatArray
     clutter: FloatArray | None
+    birth_at: FloatArray | None = None
     drift: float = 0.0
     usual: float | None = None
     memory: float = 30.0
@@ -167,14 +171,25 @@ class Levels:
         if self.usual is not None:
             door.number("usual", above=0.0)
         door.floats("level", (max(levels, 1),))
-        shares = ["birth"] if self.clutter is None else ["birth", "clutter"]
-        for name in (*shares, "object"):
-            door.unit_interval(name, levels)
-        if (np.diff(self.level) <= 0).any():
-            raise InputError("levels", field="level", expected="strictly rising", got=self.level)
-        for name in shares:
+        if self.birth_at is None:
+            door.floats("birth", (levels,))
+        else:
+            door.floats("birth_at", (max(np.size(self.birth_at), 1),))
+            door.floats("birth", (len(self.birth_at), levels))
+        door.unit_interval("object", levels)
+        if self.clutter is not None:
+            door.floats("clutter", (levels,))
+        elif self.birth_at is not None:
+            raise InputError("levels", field="clutter", expected="given beside birth_at", got=None)
+        for name in ("level", "birth_at"):
             values = getattr(self, name)
-            if abs(values.sum() - 1) > 1e-6:
+            if values is not None and (np.diff(values) <= 0).any():
+                raise InputError("levels", field=name, expected="strictly rising", got=values)
+        for name in ("birth", "clutter"):
+            values = getattr(self, name)
+            if values is None:
+                continue
+            if (values < 0).any() or np.abs(values.sum(axis=-1) - 1).max() > 1e-6:
                 raise InputError(
                     "levels", field=name, expected="shares that add up to one", got=values
                 )
@@ -234,13 +249,18 @@ class Levels:
         odds = seen.abundance(self.usual, self.memory)
         return odds * self.object / (odds * self.object + 1 - self.object)
 
-    def birth_after(self, seen: Seen) -> FloatArray:
-        """(L,) new sources of each level, in all that are usual: where few objects have been seen,
-        fewer come.  Where many have, no more do, since what fills a scene is known already."""
+    def birth_after(self, seen: Seen, distance: FloatArray) -> FloatArray:
+        """(L,) or, `distance` (M,) from the sensor, (M,L) new sources of each level, in all that
+        are usual: where few objects have been seen, fewer come.  Where many have, no more do, since
+        what fills a scene is known already."""
+        birth = self.birth
+        if self.birth_at is not None:
+            nearby = [np.interp(distance, self.birth_at, one) for one in np.eye(len(birth))]
+            birth = np.array(nearby).T @ birth
         if self.usual is None:
-            return self.birth
+            return birth
         odds = min(1.0, seen.abundance(self.usual, self.memory))
-        return self.birth * (odds * self.object + 1 - self.object)
+        return birth * (odds * self.object + 1 - self.object)
 
     def own(self, detections: Detections) -> tuple[Detections, FloatArray]:
         """The detections that may be of these sources, N of them, and their log-odds (N,).

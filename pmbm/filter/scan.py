@@ -17,8 +17,9 @@ class Scan:
     position (M,2); box (M,5) : z, length, width, height, yaw; label (M,) int8.
     evidence (M,K) or None : p(score, label | kind) / p(score, label | clutter) for the K kinds that
         an object may be of; None is a scan whose scores and labels say nothing.
-    kinds (K,) or None : shares of the kinds among objects detected for the first time; None where
-        K = 1, which needs no keeping track of.
+    kinds (K,), (M,K) or None : shares of the kinds among objects detected for the first time, the
+        same anywhere or by what may be where each measurement is; None where K = 1, which needs no
+        keeping track of.
     first (M,2) or None : factors on the density of first detections and on that of clutter, for
         the rule that lets a score speak there alone.
     confidence (M,) or None : in [0, 1], what a track remembers of its detections.
@@ -35,7 +36,9 @@ class Scan:
     def said_of_first(self) -> FloatArray:
         """(M,) what each detection says of an object never detected before."""
         assert self.evidence is not None
-        return self.evidence[:, 0] if self.kinds is None else self.evidence @ self.kinds
+        if self.kinds is None:
+            return self.evidence[:, 0]
+        return (self.evidence * self.kinds).sum(axis=1)
 
     def said_of_known(
         self, kind: FloatArray | None, row: NDArray[np.intp], measurement: NDArray[np.intp]
@@ -47,12 +50,19 @@ class Scan:
             return self.evidence[measurement, 0]
         return (kind[row] * self.evidence[measurement]).sum(axis=1)
 
+    def kind_first(self, measurement: NDArray[np.intp]) -> FloatArray:
+        """P(kind) (n,K) of objects that these measurements (n,) are the first detections of."""
+        assert self.evidence is not None
+        assert self.kinds is not None
+        kinds = np.broadcast_to(self.kinds, self.evidence.shape)
+        return self.kind_after(kinds[measurement], measurement)
+
     def kind_after(self, before: FloatArray, measurement: NDArray[np.intp]) -> FloatArray:
-        """P(kind) (n,K) after these measurements (n,), by Bayes' rule from (n,K) or (K,)."""
+        """P(kind) (n,K) after these measurements (n,), by Bayes' rule from those before."""
         assert self.evidence is not None
         joint = before * self.evidence[measurement]
         total = joint.sum(axis=1, keepdims=True)
-        return np.divide(joint, total, out=before + np.zeros_like(joint), where=total > 0)
+        return np.divide(joint, total, out=before.copy(), where=total > 0)
 
     def __len__(self) -> int:
         return len(self.position)

@@ -108,7 +108,7 @@ class PMBMTracker:
                 local=Locals.empty(
                     config.history,
                     confidence=self._from_scores is not None,
-                    kinds=0 if self._marks is None else len(self._marks.birth),
+                    kinds=0 if self._marks is None else self._marks.birth.shape[-1],
                     seen=config.visibility is not None,
                 ),
             )
@@ -190,7 +190,7 @@ class PMBMTracker:
         if self._levels is not None:
             detections, log_odds = self._levels.own(detections)
             evidence = self._levels.evidence(log_odds)
-            births = self._levels.birth_after(self._seen)
+            births = self._levels.birth_after(self._seen, detections.distance)
         elif config.kinds is not None:
             evidence, births = config.kinds.evidence(detections), config.kinds.birth
         scan = Scan.of(detections, evidence, births)

@@ -133,7 +133,7 @@ def _first_detected(
         scan.label[measurements],
         _remember(np.full((len(measurements), L), BEFORE, np.int32), measurements),
         confidence=None if scan.confidence is None else scan.confidence[measurements],
-        kind=None if scan.kinds is None else scan.kind_after(scan.kinds, measurements),
+        kind=None if scan.kinds is None else scan.kind_first(measurements),
         seen=sensor.seen_if_detected(sensor.seen_usually(len(measurements))),
     )
 

@@ -358,9 +358,16 @@ FILTER_PLANTS = [
     _filter(
         "as many objects come where few have been",
         "tracker",
-        "births = self._levels.birth_after(self._seen)",
+        "births = self._levels.birth_after(self._seen, detections.distance)",
         "births = self._levels.birth",
         by="tests/unit/test_filter_fitting.py::test_the_tracker_expects_fewer_objects_where_few_have_been",
+    ),
+    _filter(
+        "what comes into view is the same near by and far off",
+        "scan",
+        "kinds = np.broadcast_to(self.kinds, self.evidence.shape)",
+        "kinds = np.broadcast_to(np.atleast_2d(self.kinds).mean(axis=0), self.evidence.shape)",
+        by="tests/unit/test_filter_fitting.py::test_what_comes_into_view_depends_on_where",
     ),
     _filter(
         "a level lasts though it should drift",

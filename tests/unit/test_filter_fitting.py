@@ -82,13 +82,43 @@ def test_fewer_objects_come_where_few_have_been():
     share = scarce.abundance(0.5, 3.0)
     assert share == pytest.approx(1 / 6)
     objects, others = marks.birth * marks.object, marks.birth * (1 - marks.object)
-    assert marks.birth_after(scarce) == pytest.approx(share * objects + others)
+    anywhere = np.zeros(1)
+    assert marks.birth_after(scarce, anywhere) == pytest.approx(share * objects + others)
     # The posterior of both views of a source is one: which level, and whether an object.
     after = share * objects / (share * objects + others)
     assert marks.object_after(scarce) == pytest.approx(after)
-    assert marks.birth_after(Seen(looked=15.0, objects=90.0)) == pytest.approx(marks.birth)
-    anywhere = replace(marks, usual=None)
-    assert anywhere.birth_after(scarce) == pytest.approx(marks.birth)
+    many = Seen(looked=15.0, objects=90.0)
+    assert marks.birth_after(many, anywhere) == pytest.approx(marks.birth)
+    assert replace(marks, usual=None).birth_after(scarce, anywhere) == pytest.approx(marks.birth)
+
+
+def test_what_comes_into_view_depends_on_where():
+    """Linear between two distances, constant beyond; the tracker's first detections weigh it."""
+    near, far = [0.8, 0.1, 0.1], [0.2, 0.2, 0.6]
+    marks = levels(birth=[near, far], birth_at=[20.0, 60.0])
+    births = marks.birth_after(Seen(), np.array([5.0, 30.0, 40.0, 90.0]))
+    assert births == pytest.approx(np.array([near, [0.65, 0.125, 0.225], [0.5, 0.15, 0.35], far]))
+    scarce = Seen(looked=15.0, objects=0.0)
+    scaled = replace(marks, usual=0.5, memory=3.0).birth_after(scarce, np.array([90.0]))
+    object_share = np.array(marks.object)
+    assert scaled[0] == pytest.approx(np.array(far) * (object_share / 6 + 1 - object_share))
+
+    both = frame(0.0, [[10.0, 0.0], [0.0, 70.0]], 1.0)
+    tracker = PMBMTracker(PMBMConfig.textbook(levels=marks))
+    tracker.step(both)
+    local = tracker.density.local
+    said = marks.evidence(marks.own(both)[1])
+    order = np.argsort(local.mean[:, 1])
+    expected = np.array([near, far]) * said
+    assert local.kind[order] == pytest.approx(expected / expected.sum(axis=1, keepdims=True))
+    one_each = [tracker_of_one(marks, place) for place in ([10.0, 0.0], [0.0, 70.0])]
+    assert one_each[1] > one_each[0]
+
+
+def tracker_of_one(marks, place):
+    tracker = PMBMTracker(PMBMConfig.textbook(levels=marks))
+    tracker.step(frame(0.0, [place], 1.0))
+    return float(tracker.density.local.existence[0])
 
 
 def test_the_tracker_expects_fewer_objects_where_few_have_been():
@@ -101,7 +131,7 @@ def test_the_tracker_expects_fewer_objects_where_few_have_been():
         tracker = PMBMTracker(PMBMConfig.textbook(levels=marks))
         tracker.step(frame(0.0, [], 0.0))
         tracker._seen = seen
-        births.append(said @ marks.birth_after(seen))
+        births.append(said @ marks.birth_after(seen, one.distance))
         tracker.step(one)
         (r,) = tracker.density.local.existence
         odds.append(r / (1 - r))
@@ -214,6 +244,28 @@ def test_levels_are_found_again():
             1 / (1 + np.exp(-1.5 * level)), abs=0.06
         )
     assert found.clutter @ found.level == pytest.approx(-3, abs=0.3)
+
+
+def test_where_sources_of_each_level_come_into_view_is_found_again():
+    """Far off, mostly objects; near by, mostly poles; and of few objects nobody can tell."""
+    rng = np.random.default_rng(4)
+    said, true, first = [], [], []
+    for _ in range(1500):
+        away = rng.uniform(5, 75)
+        true.append(rng.random() < (0.1 if away < 40 else 0.8))
+        said.append(rng.normal(3.0 if true[-1] else -3.0, 0.8, rng.integers(2, 30)))
+        first.append(away)
+    said += [rng.normal(-3, 0.8, 1) for _ in range(500)]
+    true, first = np.array(true + [False] * 500), np.array(first + [20.0] * 500)
+    found = fit_levels(said, true, Label.CAR, PLAIN, first=first)
+    for away, share in ((10.0, 0.1), (20.0, 0.1), (60.0, 0.8), (70.0, 0.8)):
+        births = found.birth_after(Seen(), np.array([away]))[0]
+        assert births.sum() == pytest.approx(1)
+        assert births[found.level > 0].sum() == pytest.approx(share, abs=0.08)
+    few = np.r_[np.flatnonzero(true)[:99], np.flatnonzero(~true)]
+    told = fit_levels([said[k] for k in few], true[few], Label.CAR, PLAIN, first=first[few])
+    assert told.birth_at is None
+    assert told.birth.shape == told.level.shape
 
 
 def test_long_lives_tell_near_levels_apart():
