@@ -92,7 +92,8 @@ class PMBMConfig:
         is reported, if it is there more probably than not, or the whole instead of its part.
     keep_above : the batch mode keeps a track whose probability, as of its last detection, exceeds
         this, in [0, 1].
-    history : steps of association history kept per hypothesis, to look at, >= 0.
+    history : steps of association history kept per hypothesis, >= 1; more than the last is to look
+        at.
     """
 
     survival: float = 0.995
@@ -132,7 +133,7 @@ class PMBMConfig:
     report_above: float = 0.5
     exclusive: bool = True
     keep_above: float = 0.5
-    history: int = 0
+    history: int = 1
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -259,7 +260,7 @@ _BOUNDS: dict[str, tuple[float, float, bool, bool]] = {
     "split_below": _NOT_NEGATIVE,
     "report_above": _PROBABILITY,
     "keep_above": _PROBABILITY,
-    "history": (0, np.inf, False, True),
+    "history": (1, np.inf, False, True),
 }
 
 

@@ -136,7 +136,7 @@ class Locals:
     box (H,5) : z, length, width, height, yaw of the last detection.
     label (H,) : int8, of the last detection.
     history (H,L) : int32, measurement taken at each of the last L steps, MISSED or BEFORE; L is
-        the configuration's `history`.
+        the configuration's `history`, of which `Succession` reads the last.
     confidence (H,) or None : running mean of the scores of past detections, where it is asked for.
     kind (H,K) or None : P(kind) of the object, adding up to one, where scores or labels tell kinds
         apart.

@@ -30,6 +30,7 @@ from pmbm.filter.occlusion import Shadows
 from pmbm.filter.prediction import predict
 from pmbm.filter.reduction import Limits, Reduced, reduce
 from pmbm.filter.scan import Scan
+from pmbm.filter.succession import Succession
 from pmbm.filter.unseen import FINE, MOST, NEGLIGIBLE, Ground, settle
 from pmbm.filter.update import update
 from pmbm.score import ScoreModel
@@ -65,6 +66,7 @@ class PMBMTracker:
         self._levels = _levels(self.config, self._score_model)
         self._marks = self._levels or self.config.kinds
         self._seen = Seen()
+        self._succession = Succession()
         self._limits = _limits(self.config)
         self._noise = self.config.measurement_sd**2 * np.eye(2)
         self.takes_all_labels = (
@@ -304,10 +306,11 @@ class PMBMTracker:
             stands = apart(np.ascontiguousarray(local.mean[:, :2]), local.box, claims, sure)
             if len(stands) < len(local):
                 reported, local = reported[stands], local.take(stands)
+        self._succession, self.density = self._succession.after(density, marginal, exists, reported)
         return vouched(
             Tracks,
             time=self._time,
-            id=density.track_id[reported],
+            id=self.density.track_id[reported],
             position=np.concatenate([local.mean[:, :2], local.box[:, :1]], axis=1),
             size=local.box[:, 1:4].copy(),
             yaw=local.box[:, 4].copy(),

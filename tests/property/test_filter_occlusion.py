@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pmbm import Detections, Site
 from pmbm.filter import PMBMConfig, PMBMTracker, Visibility
 from pmbm.filter.association import associate
-from pmbm.filter.density import Density, Globals, Locals, Mixture
+from pmbm.filter.density import MISSED, Density, Globals, Locals, Mixture
 from pmbm.filter.models import Sensor, constant_velocity
 from pmbm.filter.occlusion import Shadows
 from pmbm.filter.rays import BEARINGS, box_rays, outline_rays
@@ -32,7 +32,7 @@ def density_of(boxes, existence):
         np.tile(1e-12 * np.eye(4), (n, 1, 1)),
         np.column_stack([np.zeros(n), boxes[:, 2:4], np.ones(n), boxes[:, 4]]),
         np.zeros(n, np.int8),
-        np.zeros((n, 0), np.int32),
+        np.full((n, 1), MISSED, np.int32),
     )
     table = Globals(np.zeros(1, np.intp), np.zeros(1), np.array([0, n]), np.arange(n))
     return Density(Mixture.empty(), local, table, np.arange(n), n)

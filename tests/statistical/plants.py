@@ -370,6 +370,20 @@ FILTER_PLANTS = [
         by="tests/unit/test_filter_fitting.py::test_what_comes_into_view_depends_on_where",
     ),
     _filter(
+        "one of two objects goes by the other's id",
+        "succession",
+        "if at_least_both < _TWO and elder not in density.track_id[reported]:",
+        "if elder not in density.track_id[reported]:",
+        by="tests/unit/test_filter_succession.py::test_two_objects_keep_their_own[both are there]",
+    ),
+    _filter(
+        "an object's id is that of whoever explains it best at present",
+        "succession",
+        "silent[reported] = False",
+        "silent[:] = False",
+        by="tests/unit/test_filter_succession.py::test_an_object_keeps_its_id_when_its_first_detection_proves_to_be_clutter",
+    ),
+    _filter(
         "a level lasts though it should drift",
         "prediction",
         "return transition.levels.after(kind, transition.dt)",
