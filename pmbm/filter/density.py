@@ -261,7 +261,8 @@ class Density:
         independent: the mixture over the whole scene is the product of theirs.
     track_id (T,) : int64; a track's id is the running number, over the whole run, of the detection
         that started it, so it names (time, measurement).  No other object ever has it; an object
-        that was given up and is seen again may resume it (`pmbm.filter.resumption`).
+        that was given up and is seen again may resume it (`pmbm.filter.resumption`), and one that
+        was reported keeps it when a second explanation of it wins (`pmbm.filter.succession`).
     detections_seen : how many detections came before; the id of the next one.
     undetected_settled : components of the PPP when it was last merged.
     """

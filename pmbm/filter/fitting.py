@@ -80,7 +80,10 @@ def sources(
             field="origin",
             hint="pmbm.datasets.with_origins pairs a real recording's detections with its labels",
         )
-    plain = replace(config, kinds=None, levels=None, scores="ignore", report_above=0.0, history=1)
+    # Nothing is held back from the reports, so that no track goes by another's id.
+    plain = replace(
+        config, kinds=None, levels=None, scores="ignore", report_above=0.0, exclusive=False
+    )
     tracker = PMBMTracker(plain, recording.site)
     found: list[tuple[int, bool, bool, float, float, int]] = []
     before = 0

@@ -38,6 +38,8 @@ class Scan:
         assert self.evidence is not None
         if self.kinds is None:
             return self.evidence[:, 0]
+        if self.kinds.ndim == 1:
+            return self.evidence @ self.kinds
         return (self.evidence * self.kinds).sum(axis=1)
 
     def said_of_known(

@@ -176,6 +176,7 @@ def _remember(history: np.ndarray, measurement: Index | int) -> np.ndarray:
     """The history (n,L) one step on, without its oldest entry; measurement (n,), or one for all."""
     if not history.shape[1]:
         return history
-    return np.column_stack([history[:, 1:], np.broadcast_to(measurement, len(history))]).astype(
-        np.int32
-    )
+    after = np.empty_like(history)
+    after[:, :-1] = history[:, 1:]
+    after[:, -1] = measurement
+    return after

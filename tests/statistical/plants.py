@@ -372,8 +372,8 @@ FILTER_PLANTS = [
     _filter(
         "one of two objects goes by the other's id",
         "succession",
-        "if at_least_both < _TWO and elder not in density.track_id[reported]:",
-        "if elder not in density.track_id[reported]:",
+        "if at_least_both < _TWO and elder not in ids[reported]:",
+        "if elder not in ids[reported]:",
         by="tests/unit/test_filter_succession.py::test_two_objects_keep_their_own[both are there]",
     ),
     _filter(

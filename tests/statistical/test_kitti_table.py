@@ -8,6 +8,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pmbm.cli import main
@@ -116,13 +117,9 @@ def test_the_table(tmp_path, capsys, verified):
             round(best, 4),
             online > best,
         )
-    # What is not reached yet is in the rows; what is, is held here.
-    for kind, bars in BARS["batch"].items():
-        missed = shortfalls(table["pmbm, batch"][kind], bars)
-        assert all(kind == "Pedestrian" and one.startswith("IDS") for one in missed), (kind, missed)
-    for kind, bars in BARS["online"].items():
-        missed = shortfalls(table["pmbm, online"][kind], bars)
-        assert all(kind == "Car" and one.startswith("IDF1") for one in missed), (kind, missed)
+    for mode, by_class in BARS.items():
+        for kind, bars in by_class.items():
+            assert not shortfalls(table[f"pmbm, {mode}"][kind], bars), (mode, kind)
     assert table["pmbm, batch"]["Car"]["HOTA"] > table["pmbm, online"]["Car"]["HOTA"]
     for kind in CLASSES:
         online = table["pmbm, online"][kind]["MOTA"]
@@ -146,7 +143,7 @@ def test_the_preset_is_what_its_command_fits(tmp_path):
     again, shipped = flat(tomllib.loads(out.read_text())), flat(parameters())
     assert again.keys() == shipped.keys()
     for name, value in shipped.items():
-        assert again[name] == pytest.approx(value, rel=2e-3, abs=2e-4), name
+        assert np.array(again[name]) == pytest.approx(np.array(value), rel=2e-3, abs=2e-4), name
 
 
 @pytest.mark.parametrize(
