@@ -56,15 +56,15 @@ class Scan:
         """P(kind) (n,K) of objects that these measurements (n,) are the first detections of."""
         assert self.evidence is not None
         assert self.kinds is not None
-        kinds = np.broadcast_to(self.kinds, self.evidence.shape)
-        return self.kind_after(kinds[measurement], measurement)
+        kinds = self.kinds if self.kinds.ndim == 1 else self.kinds[measurement]
+        return self.kind_after(kinds, measurement)
 
     def kind_after(self, before: FloatArray, measurement: NDArray[np.intp]) -> FloatArray:
-        """P(kind) (n,K) after these measurements (n,), by Bayes' rule from those before."""
+        """P(kind) (n,K) after these measurements (n,), by Bayes' rule from (n,K) or (K,)."""
         assert self.evidence is not None
         joint = before * self.evidence[measurement]
         total = joint.sum(axis=1, keepdims=True)
-        return np.divide(joint, total, out=before.copy(), where=total > 0)
+        return np.divide(joint, total, out=before + np.zeros_like(joint), where=total > 0)
 
     def __len__(self) -> int:
         return len(self.position)

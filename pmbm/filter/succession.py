@@ -49,7 +49,7 @@ class Succession:
         """
         told, heir, elder = self.told, self.heir, self.elder
         ids = density.track_id[reported]
-        if _among(ids, heir).any():
+        if len(heir) and _among(ids, heir).any():
             density = self._named(density, marginal.existence, reported)
             ids = density.track_id[reported]
             doubtful = ~np.isin(heir, ids[exists[reported] > _SURE])
@@ -58,10 +58,11 @@ class Succession:
         if not first.any():
             return (self if heir is self.heir else Succession(told, heir, elder)), density
         also, theirs = _heirs(density, marginal, reported, first, told)
-        # Of two elders the later one counts.
-        heir, row = np.unique(np.concatenate([also, heir]), return_index=True)
-        elder = np.concatenate([theirs, elder])[row]
-        told = np.union1d(told, ids[first])
+        if len(also):
+            # Of two elders the later one counts.
+            heir, row = np.unique(np.concatenate([also, heir]), return_index=True)
+            elder = np.concatenate([theirs, elder])[row]
+        told = np.sort(np.concatenate([told, ids[first]]))
         if len(told) + len(heir) > _FORGOTTEN + 2 * len(density.track_id):
             known = _known(density)
             heir, elder = heir[np.isin(heir, known)], elder[np.isin(heir, known)]

@@ -365,8 +365,8 @@ FILTER_PLANTS = [
     _filter(
         "what comes into view is the same near by and far off",
         "scan",
-        "kinds = np.broadcast_to(self.kinds, self.evidence.shape)",
-        "kinds = np.broadcast_to(np.atleast_2d(self.kinds).mean(axis=0), self.evidence.shape)",
+        "kinds = self.kinds if self.kinds.ndim == 1 else self.kinds[measurement]",
+        "kinds = np.atleast_2d(self.kinds).mean(axis=0)",
         by="tests/unit/test_filter_fitting.py::test_what_comes_into_view_depends_on_where",
     ),
     _filter(
