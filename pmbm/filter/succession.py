@@ -21,7 +21,6 @@ _TWO = 0.1
 """Tracks that both exist with at least this probability are two objects."""
 _SURE = 0.5
 """A track reported beside its elder, and there more probably than not, is an object of its own."""
-
 _FORGOTTEN = 64
 """Ids of tracks that are no more, beyond as many as there are tracks, that are kept for a while."""
 

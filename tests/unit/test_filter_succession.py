@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mark_builders import frame
 
 from pmbm.filter import PMBMConfig, PMBMTracker
 from pmbm.filter.density import MISSED, Density, Locals, Mixture, Origin
 from pmbm.filter.estimation import Marginals
 from pmbm.filter.succession import Succession
-from tests.mark_builders import frame
 
 ROAD = {"measurement_sd": 0.2, "spectral_density": 2.0, "clutter_rate": 5.0, "birth_rate": 2.0}
 
@@ -30,14 +30,9 @@ def step(succession, *tracks, recycled=()):
     """After a step with these tracks: (id, existence, measurement taken, whether reported)."""
     ids, existence, taken, reported = zip(*tracks, strict=True)
     n = len(tracks)
-    empty = Mixture(np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4, 4)))
-    undetected = replace(
-        empty,
-        log_weight=np.zeros(len(recycled)),
-        mean=np.zeros((len(recycled), 4)),
-        cov=np.zeros((len(recycled), 4, 4)),
-        origin=Origin.of(np.array(recycled, np.int64)),
-    )
+    k = len(recycled)
+    origin = Origin.of(np.array(recycled, np.int64))
+    undetected = Mixture(np.zeros(k), np.zeros((k, 4)), np.zeros((k, 4, 4)), origin)
     local = Locals(
         track=np.arange(n),
         existence=np.array(existence),
