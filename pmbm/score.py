@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmbm.door import Door
+from pmbm.durable import replace_text
 from pmbm.errors import InputError, nearest_hint
 from pmbm.types import Detections, Label
 
@@ -171,13 +172,13 @@ class ScoreModel:
 
     def save(self, path: str | Path) -> None:
         """Write the model as TOML."""
-        Path(path).write_text(
+        replace_text(
+            Path(path),
             "# Calibrated log-odds of a detection being true, over its score.\n"
             f'scale = "{self.scale}"\n'
             f"base_rate = {self.base_rate!r}\n"
             f"knot = {self.knot.tolist()!r}\n"
             f"log_odds = {self.log_odds.tolist()!r}\n",
-            encoding="utf-8",
         )
 
     @staticmethod

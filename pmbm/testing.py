@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pmbm.durable import replace_text
 from pmbm.errors import InputError
 from pmbm.metrics import evaluate
 from pmbm.metrics.catalogue import definition
@@ -326,7 +327,7 @@ def _write_page(
     page = trial_page(source, trackers, seed, trial, title=node, command=command)
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"{_slug(node)}.html"
-    file.write_text(page, encoding="utf-8")
+    replace_text(file, page)
     return file
 
 

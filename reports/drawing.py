@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
 from collections.abc import Iterable, Iterator
 from pathlib import Path as FilePath
@@ -12,6 +13,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
+from pmbm.durable import replace_bytes
 from pmbm.geometry import corners
 from pmbm.types import Detections, FloatArray, GaussianMixture, GroundTruth, Site, Tracks
 from reports.matching import matched
@@ -54,15 +56,18 @@ def save(figure: Figure, path: str | FilePath) -> None:
     """Write a figure as the file's suffix says (.svg, .png, .pdf)."""
     undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     suffix = FilePath(path).suffix.lower()
+    picture = io.BytesIO()
     with styled():
         figure.savefig(
-            path,
+            picture,
+            format=suffix[1:],
             dpi=200,
             facecolor=figure.get_facecolor(),
             metadata=undated.get(suffix),
             bbox_inches="tight",
             pad_inches=0.08,
         )
+    replace_bytes(FilePath(path), picture.getvalue())
 
 
 def colours_of(dark: bool) -> dict[str, str]:

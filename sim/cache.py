@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmbm.durable import replace_bytes
 from pmbm.errors import InputError
 from pmbm.provenance import provenance
 from pmbm.types import GroundTruth, Site
@@ -81,10 +82,10 @@ def cached(name: str, content: str, seed: int, trial: int, make: Callable[[], Sc
     scene = make()
     try:
         _write(path, scene)
-    except OSError as error:
+    except (OSError, InputError) as error:
         if os.environ.get("PMBM_CACHE"):
             raise InputError(
-                "PMBM_CACHE cannot be written", file=cache_folder(), got=error.strerror
+                "PMBM_CACHE cannot be written", file=cache_folder(), got=error
             ) from error
     return scene
 
@@ -192,12 +193,7 @@ def _write(path: Path, scene: Scene) -> None:
                 np.lib.format.write_array(stream, array, allow_pickle=False)
     body = buffer.getvalue()
     path.parent.mkdir(parents=True, exist_ok=True)
-    own = path.with_name(f".{path.name}.{os.getpid()}.{os.urandom(4).hex()}")
-    try:
-        own.write_bytes(hashlib.sha256(body).digest() + body)
-        os.replace(own, path)
-    finally:
-        own.unlink(missing_ok=True)
+    replace_bytes(path, hashlib.sha256(body).digest() + body)
     if next(_writes) % 100 == 0:
         _shrink()
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from pmbm.durable import replace_text
 from pmbm.provenance import provenance
 
 settings.register_profile("everyday", deadline=None, max_examples=50, derandomize=True)
@@ -100,7 +101,7 @@ class _Verification:
         rows = sorted(kept + self.rows, key=lambda row: (row["id"], row["what"]))
         record = {"provenance": provenance(), "rows": rows}
         self.file.parent.mkdir(parents=True, exist_ok=True)
-        self.file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        replace_text(self.file, json.dumps(record, indent=1) + "\n")
 
 
 def _stands(nodeid, root):

@@ -86,7 +86,7 @@ def command(
     from pmbm.cli.dataset_scores import rule_of
     from pmbm.cli.evaluate import write_json
     from pmbm.datasets import open_dataset
-    from pmbm.datasets.files import replace_text
+    from pmbm.durable import replace_text
     from pmbm.errors import InputError, nearest_hint
 
     by = rule_of(dataset_name, rule)

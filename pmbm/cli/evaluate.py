@@ -71,7 +71,7 @@ def command(
 
 def write_json(file: str, figures: Mapping[str, object]) -> None:
     """Figures into a file, or to standard output as "-"."""
-    from pmbm.datasets.files import replace_text
+    from pmbm.durable import replace_text
 
     text = json.dumps(figures, indent=1, allow_nan=False)
     if file == "-":

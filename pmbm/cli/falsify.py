@@ -74,12 +74,16 @@ def command(
     """
     import sys
 
+    from pmbm.durable import check_writable, replace_text
     from pmbm.metrics.catalogue import definition
     from sim import load_scenario
     from sim.falsify import FAULTS, Knob, search, swept_knobs
     from sim.toml_door import toml_text
 
     scenario = load_scenario(scenario_name)
+    name = f"{scenario.name}_falsified"
+    path = out or Path(f"{name}.toml")
+    check_writable(path)
     sign = -1.0 if definition(metric).direction == "higher" else 1.0
     base = scenario.base()
     swept = swept_knobs(scenario)
@@ -99,14 +103,11 @@ def command(
     if finding is None:
         click.echo(f"nothing found: {metric} of {tracker_name} stayed within the limit")
         return
-    name = f"{base.name}_falsified"
-    path = out or Path(f"{name}.toml")
-    path.parent.mkdir(parents=True, exist_ok=True)
     document = {**finding.document, "name": name}
-    path.write_text(
+    replace_text(
+        path,
         _header(scenario_name, tracker_name, metric, sign, finding, trials, seed, path)
         + toml_text(document),
-        encoding="utf-8",
     )
     changed = ", ".join(f"{key} = {value:g}" for key, value in finding.changed.items()) or "nothing"
     click.echo(

@@ -87,6 +87,7 @@ def command(
     from rich.progress import track
 
     from pmbm.datasets import load, open_dataset, with_origins
+    from pmbm.durable import replace_text
     from reports.detector_page import DetectorReport, detector_page
     from sim.detector import load_profile
     from sim.evidence import gather
@@ -117,7 +118,7 @@ def command(
     model = load_profile(_rounded(model.plain()))
     out.mkdir(parents=True, exist_ok=True)
     profile = out / f"{name}.toml"
-    profile.write_text(toml_text(model.plain()), encoding="utf-8")
+    replace_text(profile, toml_text(model.plain()))
 
     fitted_real = [figures(r) for r in real]
     fitted_model = _modelled_figures(model, real, trials, min_iou)
@@ -147,7 +148,8 @@ def command(
         )
     outcome = _realism([*real, *held], model) if realism and len(real) + len(held) > 3 else None
     page = out / f"{name}.html"
-    page.write_text(
+    replace_text(
+        page,
         detector_page(
             DetectorReport(
                 name=name,
@@ -160,7 +162,6 @@ def command(
                 realism=outcome,
             )
         ),
-        encoding="utf-8",
     )
     click.echo(f"profile  {profile}\npage     {page}")
 

@@ -67,7 +67,7 @@ def command(
     """
     from pmbm.cli.track import class_trackers, preset
     from pmbm.datasets import open_dataset
-    from pmbm.datasets.files import replace_text
+    from pmbm.durable import replace_text
     from pmbm.tune import refuse_reserved_sequences
     from sim.toml_door import toml_text
 

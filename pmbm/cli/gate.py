@@ -67,10 +67,13 @@ def command(
       pmbm gate night.toml --accept
       pmbm gate night.toml --bisect v1.0..main
     """
-    from pmbm.errors import InputError
+    from pmbm.durable import check_writable, replace_text
     from pmbm.regression import wording
 
     task = _task(study_name, baseline, jobs, options)
+    for file in (task.baseline if accept else None, junit):
+        if file is not None:
+            check_writable(file)
     if accept:
         _accept(task)
         return 0
@@ -86,10 +89,7 @@ def command(
         code = 0
     click.echo(text)
     if junit is not None:
-        try:
-            junit.write_text(wording.junit(report, commands, task.study.name), encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"cannot write it: {error.strerror}", file=junit) from error
+        replace_text(junit, wording.junit(report, commands, task.study.name))
     if github or os.environ.get("GITHUB_ACTIONS") == "true":
         click.echo(wording.github(report, commands))
     return code

@@ -51,15 +51,16 @@ def command(
       pmbm report night.sqlite --worst 0 --markdown -
     """
     from pmbm.cli.sources import resolve
+    from pmbm.durable import replace_text
     from reports.study_report import study_markdown, study_page
     from reports.study_source import stored_report
 
     report = stored_report(store, resolve, study=study, worst=worst, reference=reference)
     out.mkdir(parents=True, exist_ok=True)
     page = out / f"{store.stem}.html"
-    page.write_text(study_page(report), encoding="utf-8")
+    replace_text(page, study_page(report))
     click.echo(f"{page}", err=True)
     if markdown == "-":
         click.echo(study_markdown(report), nl=False)
     elif markdown is not None:
-        Path(markdown).write_text(study_markdown(report), encoding="utf-8")
+        replace_text(Path(markdown), study_markdown(report))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -96,6 +95,7 @@ def command(
       pmbm run my_scene.toml --tracker my_package.tracking:MyTracker
       pmbm run truck_occlusion --explain 9
     """
+    from pmbm.durable import check_writable, replace_text
     from pmbm.errors import InputError
     from pmbm.study import summarise
     from pmbm.tracking import tracker_factory
@@ -113,8 +113,12 @@ def command(
     sources = [load_scenario(name) for name in scenarios]
     if level is not None:
         sources = [source.at(_level(source, level)) for source in sources]
-    target = _writable(out / f"{page or sources[0].name}.html")
-    json_target = None if json_file in (None, "-") else _writable(Path(str(json_file)))
+    # Found out before any trial, not after all.
+    target = out / f"{page or sources[0].name}.html"
+    check_writable(target)
+    json_target = None if json_file in (None, "-") else Path(str(json_file))
+    if json_target is not None:
+        check_writable(json_target)
 
     stories = []
     if explain is not None:
@@ -135,7 +139,7 @@ def command(
 
     repeat = shlex.join(["pmbm", *_arguments()])
     title = sources[0].name if len(sources) == 1 else (page or "run")
-    target.write_text(run_page(sections, title=title, command=repeat), encoding="utf-8")
+    replace_text(target, run_page(sections, title=title, command=repeat))
     click.echo(f"{target}", err=True)
     for story in stories:
         click.echo(story, err=json_file == "-")
@@ -144,7 +148,7 @@ def command(
         if json_target is None:
             click.echo(text)
         else:
-            json_target.write_text(text + "\n", encoding="utf-8")
+            replace_text(json_target, text + "\n")
 
 
 def _arguments() -> Sequence[str]:
@@ -156,26 +160,6 @@ def _arguments() -> Sequence[str]:
 def _level(scenario: Any, text: str) -> Any:
     """The level that reads like this; the text itself, for the scenario to refuse, if none does."""
     return {str(level): level for level in scenario.levels}.get(text, text)
-
-
-def _writable(path: Path) -> Path:
-    """The path, once its folder is there and it can be written: found out before any trial."""
-    from pmbm.errors import InputError
-
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        existed = path.exists()
-        with path.open("a", encoding="utf-8"):
-            pass
-        if not existed:
-            os.unlink(path)
-    except OSError as error:
-        raise InputError(
-            f"cannot write there: {error.strerror}",
-            file=path,
-            hint="name another folder with --out",
-        ) from error
-    return path
 
 
 def _run(

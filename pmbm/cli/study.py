@@ -130,6 +130,7 @@ def _duration(seconds: float) -> str:
 
 def _replay(study: Study, file: Path, index: int, out: Path) -> int:
     """Run one trial here and write its replay as a page."""
+    from pmbm.durable import replace_text
     from pmbm.errors import InputError
     from reports.replays import trial_page
 
@@ -144,7 +145,7 @@ def _replay(study: Study, file: Path, index: int, out: Path) -> int:
     page = trial_page(
         cell.source, cell.trackers, study.seed, trial, title=cell.label, command=command
     )
-    target.write_text(page, encoding="utf-8")
+    replace_text(target, page)
     click.echo(f"trial {trial} of {cell.label}: {target}")
     return 0
 

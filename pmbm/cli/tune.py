@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -130,7 +129,7 @@ def command(
     from pmbm.cli.sources import resolve
     from pmbm.cli.track import read_toml
     from pmbm.cli.tuning import Logged, Simulated
-    from pmbm.datasets.files import prepare_folder, replace_text
+    from pmbm.durable import check_writable, replace_text
     from pmbm.errors import InputError
     from pmbm.study import ConfiguredTracker
     from pmbm.tune import refuse_reserved_seed, tune
@@ -141,8 +140,8 @@ def command(
     _refuse_given(context, _OF_DATASETS if dataset_name is None else _OF_SCENARIOS)
     refuse_reserved_seed(seed)
     # Found out before the search, not after it.
-    if out is not None and not os.access(prepare_folder(out.parent), os.W_OK):
-        raise InputError("cannot write there", file=out, field="--out")
+    if out is not None:
+        check_writable(out)
     with _pool(jobs) as spread, threadpool_limits(limits=1):
         problem: Simulated | Logged
         if dataset_name is None:

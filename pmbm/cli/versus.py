@@ -24,7 +24,7 @@ def command(store: Path, metric: str, reference: str | None, out: Path | None) -
     """
     import shlex
 
-    from pmbm.datasets.files import replace_text
+    from pmbm.durable import replace_text
     from pmbm.errors import InputError, nearest_hint
     from pmbm.study import load_results
     from pmbm.tracking import SHIPPED_BOUNDS

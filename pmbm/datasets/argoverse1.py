@@ -20,7 +20,6 @@ from pmbm.datasets.files import (
     json_vector,
     prepare_folder,
     read_json,
-    replace_text,
     safe_name,
     write_zip,
 )
@@ -36,6 +35,7 @@ from pmbm.datasets.logs import (
     submission_boxes,
 )
 from pmbm.datasets.poses import Pose, matrix_yaw, pose, quaternion_matrix, yaw_quaternion
+from pmbm.durable import replace_text
 from pmbm.errors import nearest_hint
 from pmbm.types import Label, Recording, TrackSequence
 

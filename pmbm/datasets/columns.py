@@ -9,7 +9,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from pmbm.datasets.files import LARGEST_LENGTH, Place, read_bytes, replace_bytes
+from pmbm.datasets.files import LARGEST_LENGTH, Place, read_bytes
+from pmbm.durable import replace_bytes
 from pmbm.errors import InputError, nearest_hint
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from pmbm.durable import replace_bytes
 from pmbm.errors import InputError, nearest_hint
 
 LARGEST_LENGTH: Final = 1e8
@@ -216,21 +217,6 @@ def prepare_folder(path: Path) -> Path:
     except OSError as error:
         raise InputError(f"cannot make the folder: {error.strerror}", file=path) from None
     return path
-
-
-def replace_text(path: Path, text: str) -> None:
-    """Write the whole file or none of it."""
-    replace_bytes(path, text.encode("utf-8"))
-
-
-def replace_bytes(path: Path, content: bytes) -> None:
-    """Write the whole file or none of it."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(content)
-        part.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", file=path) from None
 
 
 def write_zip(path: Path, members: Mapping[str, Path]) -> None:

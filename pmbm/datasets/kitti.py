@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from pmbm.datasets.files import Place, prepare_folder, replace_text, write_zip
+from pmbm.datasets.files import Place, prepare_folder, write_zip
 from pmbm.datasets.frames import (
     Comparison,
     SourceBoxes,
@@ -35,6 +35,7 @@ from pmbm.datasets.kitti_files import (
     to_sensor,
 )
 from pmbm.datasets.poses import STANDING, Pose
+from pmbm.durable import replace_text
 from pmbm.errors import InputError, nearest_hint
 from pmbm.geometry import wrap_angle
 from pmbm.types import (

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from pmbm.datasets.files import Place, prepare_folder, replace_text, safe_name
+from pmbm.datasets.files import Place, prepare_folder, safe_name
 from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
     Box,
@@ -29,6 +29,7 @@ from pmbm.datasets.nuscenes_tables import (
     read_results,
 )
 from pmbm.datasets.poses import yaw_quaternion
+from pmbm.durable import replace_text
 from pmbm.errors import InputError
 from pmbm.types import Recording, TrackSequence
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pmbm.datasets.files import Place, prepare_folder, replace_bytes, safe_name
+from pmbm.datasets.files import Place, prepare_folder, safe_name
 from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
     Box,
@@ -33,6 +33,7 @@ from pmbm.datasets.waymo_files import (
     read_v2_poses,
 )
 from pmbm.datasets.wire import encode
+from pmbm.durable import replace_bytes
 from pmbm.errors import InputError, nearest_hint
 from pmbm.geometry import iou
 from pmbm.types import Label, Recording, TrackSequence

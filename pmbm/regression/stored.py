@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pmbm.durable import replace_text
 from pmbm.errors import BaselineMismatch, InputError, nearest_hint
 from pmbm.provenance import SCHEMA_VERSION, provenance
 
@@ -98,7 +99,7 @@ class StoredBaseline:
         }
         file.parent.mkdir(parents=True, exist_ok=True)
         text = json.dumps(document, sort_keys=True, indent=1, allow_nan=False)
-        file.write_text(text + "\n", encoding="utf-8")
+        replace_text(file, text + "\n")
 
 
 _DIGEST = 16

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pmbm.durable import replace_bytes, replace_text
 from pmbm.errors import InputError
 from pmbm.study.store import read_store
 from pmbm.study.study import cell_label
@@ -190,14 +192,16 @@ def export(results: StudyResults, file: Path) -> None:
     Raises InputError for another ending, and for Parquet where pyarrow is not installed.
     """
     if file.suffix == ".csv":
-        results.scores.to_csv(file, index=False)
+        replace_text(file, results.scores.to_csv(None, index=False))
     elif file.suffix == ".parquet":
+        buffer = io.BytesIO()
         try:
-            results.scores.to_parquet(file, index=False)
+            results.scores.to_parquet(buffer, index=False)
         except ImportError as error:
             raise InputError(
                 "Parquet needs pyarrow", file=file, hint="pip install pyarrow, or export .csv"
             ) from error
+        replace_bytes(file, buffer.getvalue())
     else:
         raise InputError("unknown format", file=file, expected=".csv or .parquet")
 

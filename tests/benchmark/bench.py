@@ -134,11 +134,12 @@ def _line(row: dict[str, Any]) -> str:
 
 def _write(folder: Path, rows: list[dict[str, Any]]) -> None:
     from pmbm.assignment import kernel
+    from pmbm.durable import replace_text
     from pmbm.provenance import provenance
 
     folder.mkdir(parents=True, exist_ok=True)
     record = {"provenance": provenance(kernel=kernel()), "rows": rows}
-    (folder / "benchmarks.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    replace_text(folder / "benchmarks.json", json.dumps(record, indent=1) + "\n")
     lines = ["# Speed", "", "| bar | figure | must | stretch | |", "|---|---:|---:|---:|---|"]
     for row in rows:
         sign = "≥" if row["at_least"] else "≤"
@@ -151,7 +152,7 @@ def _write(folder: Path, rows: list[dict[str, Any]]) -> None:
     for row in rows:
         details = ", ".join(f"{key} {value}" for key, value in row["details"].items())
         lines.append(f"| {row['id']} | {details} |")
-    (folder / "benchmarks.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    replace_text(folder / "benchmarks.md", "\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,15 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 LAYERS = [
-    {"pmbm.errors", "pmbm.labels", "pmbm.door", "pmbm.types", "pmbm.geometry", "pmbm.score"}
+    {
+        "pmbm.errors",
+        "pmbm.durable",
+        "pmbm.labels",
+        "pmbm.door",
+        "pmbm.types",
+        "pmbm.geometry",
+        "pmbm.score",
+    }
     | {"pmbm.provenance", "pmbm.compiled"},
     {"pmbm.assignment", "pmbm.filter", "pmbm.baselines", "pmbm.metrics", "pmbm.datasets"},
     {"pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"},
@@ -137,6 +145,42 @@ def test_nothing_evaluates_or_unpickles_data():
                 assert node.func.id not in forbidden, f"{path}:{node.lineno}"
             if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
                 assert getattr(node.value, "value", None) is False, f"{path}:{node.value.lineno}"
+
+
+def writes_in_place(path):
+    """Lines of a module that write to a file otherwise than through pmbm.durable."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.Call):
+            continue
+        function, given = node.func, [*node.args, *(word.value for word in node.keywords)]
+        name = getattr(function, "attr", None) or getattr(function, "id", None)
+        first = given[0] if given else None
+        # What goes into a buffer, or comes back as a value, is no file yet.
+        elsewhere = isinstance(first, ast.Name) and first.id in ("buffer", "text", "picture")
+        elsewhere |= isinstance(first, ast.Constant) and first.value is None
+        if name in ("to_csv", "to_parquet", "to_json", "savefig", "save", "dump") and (
+            isinstance(function, ast.Attribute) and not elsewhere
+        ):
+            yield node.lineno
+        modes = given[:1] if isinstance(function, ast.Attribute) else given[1:2]
+        if name == "open" and any(
+            isinstance(mode, ast.Constant) and set(str(mode.value)) & set("wax") for mode in modes
+        ):
+            yield node.lineno
+        if name in ("write_text", "write_bytes"):
+            yield node.lineno
+
+
+def test_files_are_written_through_the_durable_replace_alone(tmp_path):
+    for path in modules():
+        if path != ROOT / "pmbm" / "durable.py":
+            assert list(writes_in_place(path)) == [], path
+    planted = tmp_path / "planted.py"
+    planted.write_text(
+        "path.write_text(text)\nopen(path, 'w')\npath.open('a')\nfigure.savefig(path)\n"
+        "table.to_csv(path)\ntable.to_csv(None)\nfigure.savefig(buffer)\npath.open()\n"
+    )
+    assert list(writes_in_place(planted)) == [1, 2, 3, 4, 5]
 
 
 def loaded_by(statement, *names):
