@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pmbm.baselines.association import Associate
+from pmbm.baselines.association import Associate, check_pairs
 from pmbm.baselines.box_filter import (
     BOX,
     YAW,
@@ -76,10 +76,15 @@ class BoxTracker:
     def step(self, detections: Detections) -> Tracks:
         """Take one frame, empty ones too, and report.
 
-        Raises InputError, the tracker untouched, where time runs backwards.
+        Raises InputError, the tracker untouched, where time runs backwards, and where there are
+        more detections of a label than memory is taken for.
         """
-        self._advance(detections.time)
         good = detections.score >= self.lifecycle.min_score
+        for label, count in zip(
+            *np.unique(detections.label[good], return_counts=True), strict=True
+        ):
+            check_pairs(sum(track.label == label for track in self._tracks), int(count))
+        self._advance(detections.time)
         for label in sorted({*detections.label.tolist(), *(t.label for t in self._tracks)}):
             self._match(label, detections.take(good & (detections.label == label)))
         self._tracks = [t for t in self._tracks if self._age(t) < self.lifecycle.max_age]

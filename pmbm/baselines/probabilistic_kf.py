@@ -162,7 +162,8 @@ class ProbabilisticKFTracker:
     def step(self, detections: Detections, /) -> Tracks:
         """One frame's detections in, the tracks reported after it out.
 
-        Raises InputError, the state untouched, where time runs backwards.
+        Raises InputError, the state untouched, where time runs backwards, and where tracks times
+        detections of a label exceed `MOST_PAIRS`.
         """
         return self._boxes.step(detections)
 

@@ -1,12 +1,19 @@
 """The baselines on frames worked out by hand."""
 
 import copy
+import tracemalloc
 
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from pmbm.baselines import ArgoverseConfig, ArgoverseTracker
+from pmbm.baselines import (
+    ArgoverseConfig,
+    ArgoverseTracker,
+    ProbabilisticKFTracker,
+    WaymoTracker,
+    association,
+)
 from pmbm.errors import InputError
 from pmbm.tracking import Tracker
 from pmbm.types import Detections, Label
@@ -246,3 +253,50 @@ def test_uncertainty_grows_with_time_not_with_steps(frames, prior):
     tracker = ArgoverseTracker(ArgoverseConfig(min_hits=1))
     tracks = drive(tracker, [frame(0, (0,)), frame(frames, (0,))])[-1]
     np.testing.assert_allclose(tracks.covariance[0, 0, 0], prior / (prior + 1))
+
+
+def crowd(k, count):
+    return frame(k, *((x, 50.0) for x in np.arange(count) * 10.0))
+
+
+@pytest.mark.parametrize("kind", [ArgoverseTracker, WaymoTracker, ProbabilisticKFTracker])
+def test_a_frame_too_full_for_memory_is_one_line(kind, monkeypatch):
+    """The tracker is left as it was: it goes on as one that never saw the frame."""
+    monkeypatch.setattr(association, "MOST_PAIRS", 12)
+    tracker, other = kind(), kind()
+    for k in range(4):
+        for each in (tracker, other):
+            each.step(crowd(k, 3))
+    with pytest.raises(InputError, match=r"follows 3: expected at most 4, got 5; raise") as refused:
+        tracker.step(crowd(4, 5))
+    assert "\n" not in str(refused.value)
+    after, wanted = tracker.step(crowd(5, 4)), other.step(crowd(5, 4))
+    np.testing.assert_array_equal(after.position, wanted.position)
+    assert len(after) == 3
+
+
+@pytest.mark.parametrize("kind", [ArgoverseTracker, WaymoTracker, ProbabilisticKFTracker])
+def test_blocks_of_pairs_change_no_bit(kind, monkeypatch):
+    rng = np.random.default_rng(5)
+    frames = [
+        frame(k, *((x + k, y, yaw) for x, y, yaw in rng.uniform(0, 8, (12, 3)))) for k in range(8)
+    ]
+    whole = drive(kind(), frames)
+    monkeypatch.setattr(association, "_BLOCK", 7)
+    for one, other in zip(whole, drive(kind(), frames), strict=True):
+        assert one.id.tolist() == other.id.tolist()
+        np.testing.assert_array_equal(one.position, other.position)
+
+
+@pytest.mark.parametrize("kind", [ArgoverseTracker, WaymoTracker, ProbabilisticKFTracker])
+def test_memory_of_a_full_frame_is_bounded(kind):
+    """2000 boxes apart: 4 million pairs, 32 MB of them at once, and what they are computed by."""
+    tracker = kind()
+    tracker.step(crowd(0, 2000))
+    tracemalloc.start()
+    try:
+        tracker.step(crowd(1, 2000))
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 200e6
