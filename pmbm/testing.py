@@ -18,8 +18,9 @@ from pmbm.durable import replace_text
 from pmbm.errors import InputError
 from pmbm.metrics import evaluate
 from pmbm.metrics.catalogue import definition
+from pmbm.seeding import tracker_seed
 from pmbm.study import Source, estimate
-from pmbm.tracking import TrackerFactory, make_tracker, run, tracker_factory
+from pmbm.tracking import TrackerFactory, track, tracker_factory
 from pmbm.types import Recording, TrackSequence
 
 if TYPE_CHECKING:
@@ -174,7 +175,7 @@ def _outcome(
     runs = []
     for trial in range(trials) if only is None else [only]:
         recording = world.record(seed, trial)
-        tracks = run(make_tracker(factory, recording.site), recording)
+        tracks = track(factory, recording, tracker_seed(seed, trial))
         runs.append(Run(trial, recording, tracks))
     return Outcome(world, tracker_name, factory, seed, tuple(runs))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import inspect
 import time
@@ -12,6 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from pmbm.errors import InputError, nearest_hint
+from pmbm.seeding import seeded
 from pmbm.types import Detections, Label, Recording, Site, Tracks, TrackSequence
 
 
@@ -24,7 +26,8 @@ class Tracker(Protocol):
 
 
 TrackerFactory = Callable[..., Tracker]
-"""Makes a fresh tracker; one that takes a parameter `site` is given the recording's."""
+"""Makes a fresh tracker; one that takes a parameter `site` is given the recording's, and one that
+takes `seed` a whole number that differs from trial to trial."""
 
 SHIPPED_TRACKERS = {
     "pmbm": "pmbm.filter:PMBMTracker",
@@ -80,28 +83,34 @@ def tracker_factory(name: str) -> TrackerFactory:
     return Bound(factory) if name in SHIPPED_BOUNDS else factory
 
 
-def make_tracker(factory: TrackerFactory, site: Site) -> Tracker:
-    """A fresh tracker for one recording; the factory gets `site` where it takes one."""
+def make_tracker(factory: TrackerFactory, site: Site, seed: int = 0) -> Tracker:
+    """A fresh tracker for one recording; the factory gets `site` and `seed` where it takes them and
+    no `functools.partial` has set them."""
     try:
-        takes_site = "site" in inspect.signature(factory).parameters
+        takes = set(inspect.signature(factory).parameters)
     except (TypeError, ValueError):
-        takes_site = False
-    return factory(site=site) if takes_site else factory()
+        takes = set()
+    if isinstance(factory, functools.partial):
+        takes -= set(factory.keywords)
+    offered = {"site": site, "seed": seed}
+    return factory(**{name: value for name, value in offered.items() if name in takes})
 
 
 class ByLabel:
     """A tracker of its own for every label, run side by side; reports are joined under new ids.
 
     factories : label -> factory of its tracker; detections of other labels are not looked at.
-    site : handed to the factories that take one.
+    site, seed : handed to the factories that take them.
 
     For detectors whose classes do not compete, and for parameters that differ between classes.
     """
 
-    def __init__(self, factories: Mapping[Label, TrackerFactory], site: Site | None = None) -> None:
+    def __init__(
+        self, factories: Mapping[Label, TrackerFactory], site: Site | None = None, seed: int = 0
+    ) -> None:
         site = site or Site()
         self.trackers = {
-            Label(label): make_tracker(factory, site) for label, factory in factories.items()
+            Label(label): make_tracker(factory, site, seed) for label, factory in factories.items()
         }
         self._ids: dict[tuple[Label, int], int] = {}
 
@@ -140,6 +149,20 @@ def joined_tracks(time: float, parts: Sequence[Tracks], ids: Sequence[int]) -> T
     if all(tracks.covariance is not None for tracks in full):
         columns["covariance"] = np.concatenate([tracks.covariance for tracks in full])
     return Tracks(time=time, id=np.array(ids, dtype=np.int64), **columns)
+
+
+def track(factory: TrackerFactory, recording: Recording, seed: int) -> TrackSequence:
+    """The tracks of a fresh tracker over a recording, or those of a bound.
+
+    seed : what `random` and `numpy.random` start from, and what the factory gets where it takes
+        one, see `tracker_seed`: equal seeds give equal tracks, whatever ran before.
+
+    Raises InputError as `run` does.
+    """
+    with seeded(seed):
+        if isinstance(factory, Bound):
+            return factory.tracks(recording)
+        return run(make_tracker(factory, recording.site, seed), recording)
 
 
 def run(tracker: Tracker, recording: Recording, *, record: bool = False) -> TrackSequence:

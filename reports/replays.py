@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pmbm.metrics import evaluate
+from pmbm.seeding import tracker_seed
 from pmbm.study import Source, StepTime, TrialResult, follow, summarise
 from pmbm.tracking import TrackerFactory, tracker_factory
 from reports.render import run_page
@@ -27,16 +28,17 @@ def trial_replay(
         undetected objects is then shown in detail.  Their tracks and scores stay those without.
     """
     recording = source.record(seed, trial)
+    own = tracker_seed(seed, trial)
     tracks, scores, series, times, maps = {}, {}, {}, {}, {}
     for name, tracker in trackers.items():
-        tracks[name] = follow(tracker, recording)
+        tracks[name] = follow(tracker, recording, own)
         found = evaluate(recording, tracks[name])
         scores[name] = found.scalars()
         series[name] = {key: v.series for key, v in found.items() if v.series is not None}
         times[name] = StepTime.of(tracks[name].seconds)
         factory = tracker_factory(tracker) if isinstance(tracker, str) else tracker
         if with_maps and (detailed := getattr(factory, "with_map", None)) is not None:
-            maps[name] = follow(detailed, recording)
+            maps[name] = follow(detailed, recording, own)
     result = TrialResult(source.name, seed, trial, recording.digest(), scores, times)
     title = title or f"trial {trial} of seed {seed}"
     replay = Replay(recording=recording, tracks=tracks, series=series, maps=maps, title=title)

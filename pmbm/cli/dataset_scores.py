@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from pmbm.cli.track import looked_back
+from pmbm.cli.track import tracked
 from pmbm.datasets import Dataset, with_origins
 from pmbm.datasets.frames import Comparison
 from pmbm.errors import InputError, nearest_hint
@@ -27,8 +27,9 @@ from pmbm.metrics.kitti import KittiScene
 from pmbm.metrics.scene import Scene, make_scene, pair_overlap
 from pmbm.metrics.trackeval import SimilarScene
 from pmbm.metrics.waymo import WaymoScene, waymo_overlap
+from pmbm.seeding import tracker_seed
 from pmbm.study import ConfiguredTracker, follow
-from pmbm.tracking import SHIPPED_BOUNDS, ByLabel, joined_tracks, run
+from pmbm.tracking import SHIPPED_BOUNDS, joined_tracks
 from pmbm.types import FloatArray, Label, Recording, TrackSequence
 
 Scores = dict[str, float | None]
@@ -93,13 +94,10 @@ def score_run(
     A bound sees the truth, with the detections' origins by overlap.
     """
     if any(one.factory in SHIPPED_BOUNDS for one in trackers.values()):
-        tracks = _bounded(with_origins(dataset.recording(sequence)), trackers)
+        tracks = _bounded(sequence, with_origins(dataset.recording(sequence)), trackers)
     else:
         recording = recording or dataset.recording(sequence, truth=False)
-        if mode == "batch":
-            tracks = looked_back(recording, trackers)
-        else:
-            tracks = run(ByLabel(trackers, recording.site), recording)
+        tracks = tracked(sequence, recording, trackers, mode)
     with tempfile.TemporaryDirectory() as folder:
         dataset.write(sequence, tracks, Path(folder))
         return {
@@ -108,9 +106,12 @@ def score_run(
         }
 
 
-def _bounded(recording: Recording, bounds: Mapping[Label, ConfiguredTracker]) -> TrackSequence:
+def _bounded(
+    sequence: str, recording: Recording, bounds: Mapping[Label, ConfiguredTracker]
+) -> TrackSequence:
     """Every label's objects by that label's bound, under their true ids."""
-    found = {label: follow(bound, recording) for label, bound in bounds.items()}
+    seed = tracker_seed(0, sequence)
+    found = {label: follow(bound, recording, seed) for label, bound in bounds.items()}
     steps = []
     for reports in zip(*(each.steps for each in found.values()), strict=True):
         own = [r.take(r.label == label) for label, r in zip(found, reports, strict=True)]

@@ -122,7 +122,8 @@ def _badness(tracker: str, metric: str, sign: float, trials: int, seed: int) -> 
     import numpy as np
 
     from pmbm.metrics import evaluate
-    from pmbm.tracking import make_tracker, run, tracker_factory
+    from pmbm.seeding import tracker_seed
+    from pmbm.tracking import track, tracker_factory
     from sim.scenario import Scenario
 
     factory = tracker_factory(tracker)
@@ -132,7 +133,7 @@ def _badness(tracker: str, metric: str, sign: float, trials: int, seed: int) -> 
         values = []
         for trial in range(trials):
             recording = scenario.record(seed, trial)
-            tracks = run(make_tracker(factory, recording.site), recording)
+            tracks = track(factory, recording, tracker_seed(seed, trial))
             value = evaluate(recording, tracks, [metric]).scalars()[metric]
             if value is not None:
                 values.append(sign * value)

@@ -24,10 +24,13 @@ def story_of(
     """
     from pmbm.filter import PMBMTracker
     from pmbm.filter.story import tell
+    from pmbm.seeding import seeded, tracker_seed
     from pmbm.tracking import make_tracker, run
 
     recording = source.record(seed, trial)
-    made = make_tracker(factory, recording.site)
+    own = tracker_seed(seed, trial)
+    with seeded(own):
+        made = make_tracker(factory, recording.site, own)
     if not isinstance(made, PMBMTracker):
         raise InputError(
             f"tracker '{tracker}' cannot be asked why",

@@ -99,14 +99,25 @@ def track_sequence(
     mode: str = "online",
 ) -> Path:
     """Track one sequence, write it, and say where."""
-    from pmbm.tracking import ByLabel, run
-
-    recording = dataset.recording(name, truth=False)
-    if mode == "batch":
-        tracks = looked_back(recording, trackers)
-    else:
-        tracks = run(ByLabel(trackers, recording.site), recording)
+    tracks = tracked(name, dataset.recording(name, truth=False), trackers, mode)
     return dataset.write(name, tracks, out)
+
+
+def tracked(
+    sequence: str, recording: Recording, trackers: Mapping[Label, ConfiguredTracker], mode: str
+) -> TrackSequence:
+    """A sequence's tracks, every label by its own tracker; what these draw at random depends on
+    the sequence's name alone."""
+    from functools import partial
+
+    from pmbm.seeding import seeded, tracker_seed
+    from pmbm.tracking import ByLabel, track
+
+    seed = tracker_seed(0, sequence)
+    if mode == "batch":
+        with seeded(seed):
+            return looked_back(recording, trackers)
+    return track(partial(ByLabel, trackers), recording, seed)
 
 
 def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker]) -> TrackSequence:

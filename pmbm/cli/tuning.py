@@ -14,6 +14,7 @@ from pmbm.datasets import Dataset, open_dataset, with_origins
 from pmbm.errors import InputError, nearest_hint
 from pmbm.metrics import Evaluation, combine
 from pmbm.metrics.catalogue import definition
+from pmbm.seeding import tracker_seed
 from pmbm.study import ConfiguredTracker, Estimate, Source, estimate
 from pmbm.study.summary import paired
 from pmbm.study.trial import score_tracker
@@ -32,12 +33,14 @@ class Simulated:
     """Recordings of scenarios, scored by the mean of one of the testbed's metrics over them.
 
     recordings : source after source, the same number of each.
+    seeds : of each recording, for the tracker.
     tracker : with the parameters to begin with.
     where : the recordings in a few words.
     """
 
     sources: tuple[Source, ...]
     recordings: tuple[Recording, ...]
+    seeds: tuple[int, ...]
     tracker: ConfiguredTracker
     metric: str
     maximise: bool
@@ -69,6 +72,7 @@ class Simulated:
         return cls(
             sources=tuple(sources),
             recordings=recordings,
+            seeds=tuple(tracker_seed(seed, trial) for _ in sources for trial in range(count)),
             tracker=fitted_tracker(tracker, recordings) if fitted else tracker,
             metric=metric,
             maximise=maximise,
@@ -79,7 +83,9 @@ class Simulated:
     def values(self, tracker: ConfiguredTracker) -> list[float | None]:
         """The metric of each recording."""
         n = len(self.recordings)
-        return list(self.spread(_score, self.recordings, [tracker] * n, [self.metric] * n))
+        return list(
+            self.spread(_score, self.recordings, self.seeds, [tracker] * n, [self.metric] * n)
+        )
 
     def value(self, tracker: ConfiguredTracker) -> float | None:
         """What is made better."""
@@ -209,8 +215,10 @@ class Logged:
         return {self.dataset.classes[0]: {**dict(self.tracker.parameters), **parameters}}
 
 
-def _score(recording: Recording, tracker: ConfiguredTracker, metric: str) -> float | None:
-    return score_tracker(recording, tracker, [metric])[0][metric]
+def _score(
+    recording: Recording, seed: int, tracker: ConfiguredTracker, metric: str
+) -> float | None:
+    return score_tracker(recording, tracker, [metric], seed=seed)[0][metric]
 
 
 def _score_sequence(

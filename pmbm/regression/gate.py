@@ -14,6 +14,7 @@ from pmbm.errors import InputError
 from pmbm.regression.metric import ALONGSIDE, GatedMetric
 from pmbm.regression.stored import StoredBaseline
 from pmbm.regression.verdicts import Decision, Pairs, Rules, Verdict, judge, overall
+from pmbm.seeding import tracker_seed
 from pmbm.study.parallel import process_pool
 from pmbm.study.trial import Source, score_tracker
 from pmbm.tracking import TrackerFactory
@@ -232,10 +233,11 @@ class _Ahead:
 def _run_pair(entry: Entry, seed: int, trial: int, metric: GatedMetric) -> _Pair:
     recording = entry.source.record(seed, trial)
     digest = recording.digest()
+    own = tracker_seed(seed, trial)
     baseline = None
     if not isinstance(entry.baseline, StoredBaseline):
         try:
-            baseline, _ = score_tracker(recording, entry.baseline, metric)
+            baseline, _ = score_tracker(recording, entry.baseline, metric, seed=own)
         except InputError:
             raise
         except Exception as error:
@@ -244,7 +246,7 @@ def _run_pair(entry: Entry, seed: int, trial: int, metric: GatedMetric) -> _Pair
                 f"'{entry.source.name}': {error}"
             ) from error
     try:
-        candidate, _ = score_tracker(recording, entry.candidate, metric)
+        candidate, _ = score_tracker(recording, entry.candidate, metric, seed=own)
     except InputError as error:
         if error.field == "metric":
             raise

@@ -37,9 +37,9 @@ class GitTracker:
     name: str
     parameters: tuple[tuple[str, Any], ...] = ()
 
-    def __call__(self, site: Site) -> _Remote:
+    def __call__(self, site: Site, seed: int = 0) -> _Remote:
         server = _server(self)
-        server.ask("new", site)
+        server.ask("new", (site, seed))
         return _Remote(server)
 
 

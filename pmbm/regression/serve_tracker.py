@@ -1,15 +1,18 @@
 """Runs as a script in a process of its own: a tracker from another version of the sources.
 
 Started with the number of an open connection, a folder of sources, a tracker's name and its
-parameters (JSON).  It is asked ("new", site) and ("step", detections), and answers ("ok", value)
-or ("error", text).  It imports nothing of this version of the project, which the other version
-takes the place of.
+parameters (JSON).  It is asked ("new", (site, seed)) and ("step", detections), and answers ("ok",
+value) or ("error", text).  It imports nothing of this version of the project, which the other
+version takes the place of.
 """
 
 from __future__ import annotations
 
+import functools
+import inspect
 import json
 import os
+import random
 import sys
 from multiprocessing.connection import Connection
 from typing import Any
@@ -41,12 +44,33 @@ def main() -> None:
             return
         try:
             if what == "new":
-                tracker, answer = make_tracker(factory, value), None
+                site, seed = value
+                _seed(seed)
+                tracker, answer = make_tracker(_with_seed(factory, seed), site), None
             else:
                 answer = tracker.step(value)
             connection.send(("ok", answer))
         except Exception as error:
             connection.send(("error", f"{type(error).__name__}: {error}"))
+
+
+def _seed(seed: int) -> None:
+    """Start this process's global random state as `pmbm.seeding.seeded` does, also for versions
+    that have no such module."""
+    import numpy as np
+
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002
+
+
+def _with_seed(factory: Any, seed: int) -> Any:
+    """The factory with its seed, where it takes one that is not set; older versions give none."""
+    try:
+        takes = "seed" in inspect.signature(factory).parameters
+    except (TypeError, ValueError):
+        return factory
+    is_set = "seed" in getattr(factory, "keywords", ())
+    return functools.partial(factory, seed=seed) if takes and not is_set else factory
 
 
 def _look_in(folder: str) -> None:

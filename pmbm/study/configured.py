@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pmbm.errors import InputError, nearest_hint
-from pmbm.tracking import Bound, Tracker, TrackerFactory, make_tracker, run, tracker_factory
+from pmbm.tracking import Bound, Tracker, TrackerFactory, make_tracker, track, tracker_factory
 from pmbm.types import Recording, Site, TrackSequence
 
 
@@ -29,8 +29,8 @@ class ConfiguredTracker:
     factory: str
     parameters: tuple[tuple[str, Any], ...] = ()
 
-    def __call__(self, site: Site) -> Tracker:
-        return make_tracker(self.bound(), site)
+    def __call__(self, site: Site, seed: int = 0) -> Tracker:
+        return make_tracker(self.bound(), site, seed)
 
     def bound(self) -> TrackerFactory:
         """The factory with its parameters filled in; checks them."""
@@ -50,11 +50,8 @@ class ConfiguredTracker:
             anything = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
             self._check(parameters, list(parameters) if anything else accepted)
             keywords = parameters
-        if isinstance(named, Bound):
-            return Bound(functools.partial(factory, **keywords))
-        if "site" in signature.parameters:
-            return lambda site: factory(site=site, **keywords)
-        return lambda: factory(**keywords)
+        filled = functools.partial(factory, **keywords)
+        return Bound(filled) if isinstance(named, Bound) else filled
 
     def _check(self, given: Mapping[str, Any], valid: list[str]) -> None:
         for name in given:
@@ -66,17 +63,12 @@ class ConfiguredTracker:
                 )
 
 
-def follow(tracker: TrackerFactory | str, recording: Recording) -> TrackSequence:
-    """The tracks of a fresh tracker over a recording, or those of a bound.
-
-    Raises InputError as `run` does.
-    """
+def follow(tracker: TrackerFactory | str, recording: Recording, seed: int) -> TrackSequence:
+    """`track` of a factory, of a configured tracker, or of the one of that name."""
     factory: Any = tracker_factory(tracker) if isinstance(tracker, str) else tracker
     if isinstance(factory, ConfiguredTracker):
         factory = factory.bound()
-    if isinstance(factory, Bound):
-        return factory.tracks(recording)
-    return run(make_tracker(factory, recording.site), recording)
+    return track(factory, recording, seed)
 
 
 def _built(kind: Any, values: Mapping[str, Any], path: str) -> Any:

@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from pmbm.metrics import evaluate
+from pmbm.seeding import seeded, tracker_seed
 from pmbm.study.configured import follow
 from pmbm.tracking import TrackerFactory
 from pmbm.types import FloatArray, Recording, TrackSequence
@@ -86,12 +87,15 @@ def run_trial(
     metrics : names to keep of what `pmbm.metrics.evaluate` gives, a function of one's own, or
         None for all that `evaluate` gives.
 
-    Raises InputError for an unknown tracker or metric.
+    Every tracker starts from the same global random state, so that what it scores depends on no
+    other that runs.  Raises InputError for an unknown tracker or metric.
     """
     recording = source.record(seed, trial)
     scores, times = {}, {}
     for name, tracker in trackers.items():
-        scores[name], times[name] = score_tracker(recording, tracker, metrics)
+        scores[name], times[name] = score_tracker(
+            recording, tracker, metrics, seed=tracker_seed(seed, trial)
+        )
     return _make_result(source.name, seed, trial, recording.digest(), scores, times)
 
 
@@ -99,11 +103,17 @@ def score_tracker(
     recording: Recording,
     tracker: TrackerFactory | str,
     metrics: Sequence[str] | Metrics | None = None,
+    *,
+    seed: int,
 ) -> tuple[dict[str, float | None], StepTime]:
-    """The scores of a fresh tracker over a recording, and what its steps cost."""
-    tracks = follow(tracker, recording)
+    """The scores of a fresh tracker over a recording, and what its steps cost.
+
+    seed : of global random state, for the tracker and for one's own metrics, see `track`.
+    """
+    tracks = follow(tracker, recording, seed)
     if callable(metrics):
-        given = metrics(recording, tracks)
+        with seeded(seed):
+            given = metrics(recording, tracks)
     else:
         given = evaluate(recording, tracks, metrics).scalars()
     scores = {key: None if value is None else float(value) for key, value in given.items()}

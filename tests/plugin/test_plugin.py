@@ -3,6 +3,7 @@
 import importlib
 import json
 import re
+import shlex
 import sys
 import types
 from pathlib import Path
@@ -55,6 +56,12 @@ class Worse(Exact):
 class Raises(Exact):
     def step(self, detections):
         raise RuntimeError("lost my way")
+
+
+class Noisy(Exact):
+    def step(self, detections):
+        self.shift = np.random.normal()
+        return super().step(detections)
 """
 
 SUITE = """
@@ -110,6 +117,29 @@ def test_a_failure_shows_its_worst_trial(project):
     again.assert_outcomes(failed=1)
     assert page.exists()
     assert f"trial {trial} of seed 0" in page.read_text()
+
+
+def test_the_command_of_a_failure_shows_the_number_that_failed(project):
+    """Of a tracker that draws from numpy's global generator."""
+    project.makepyfile(
+        test_mine="""
+        import pytest
+        from trackers_here import Noisy
+
+        @pytest.mark.scenario("parked.toml", trials=3)
+        @pytest.mark.tracker(Noisy)
+        def test_follows(outcome):
+            worst = outcome.max("ospa")
+            assert not worst, f"worst is {worst!r}."
+        """
+    )
+    result = project.runpytest_subprocess()
+    (command,) = set(re.findall(r"^pytest .* --pmbm-replay \d$", result.stdout.str(), re.M))
+    again = project.runpytest_subprocess(*shlex.split(command)[1:])
+    first, second = (
+        re.search(r"worst is (\d+\.\d+)\.", each.stdout.str())[1] for each in (result, again)
+    )
+    assert first == second
 
 
 def test_a_replay_that_cannot_be_written_hides_no_failure(project):

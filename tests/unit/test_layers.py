@@ -19,7 +19,7 @@ LAYERS = [
         "pmbm.geometry",
         "pmbm.score",
     }
-    | {"pmbm.provenance", "pmbm.compiled"},
+    | {"pmbm.provenance", "pmbm.compiled", "pmbm.seeding"},
     {"pmbm.assignment", "pmbm.filter", "pmbm.baselines", "pmbm.metrics", "pmbm.datasets"},
     {"pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"},
     {"sim"},

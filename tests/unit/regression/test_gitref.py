@@ -1,6 +1,7 @@
 """Trackers from other commits: a repository made for the test, with a history that is known."""
 
 import os
+import runpy
 import subprocess
 from pathlib import Path
 
@@ -12,11 +13,12 @@ from pmbm.errors import InputError
 from pmbm.filter import PMBMTracker
 from pmbm.regression import Entry, Rules, Verdict, gated_metric, run_gate
 from pmbm.regression.gitref import GitTracker, checked_out, same_sources
-from pmbm.tracking import make_tracker, run
+from pmbm.tracking import make_tracker, run, track
 
 ROOT = Path(__file__).parents[3]
 TRACKER = """
 import os
+import random
 import numpy as np
 from pmbm.types import Tracks
 
@@ -35,6 +37,11 @@ class Mine:
                       position=detections.position + np.array([SHIFT + self.extra, 0.0, 0.0]),
                       size=detections.size, yaw=detections.yaw, velocity=np.zeros((n, 2)),
                       score=detections.score, label=detections.label)
+
+
+class Draws(Mine):
+    def __init__(self, seed):
+        self.extra = np.random.default_rng(seed).random() + np.random.random() + random.random()
 
 
 class Dies(Mine):
@@ -89,6 +96,19 @@ def test_each_recording_gets_a_fresh_tracker(repository):
         first = [t.id.tolist() for t in run(factory(OneCar().record(0).site), OneCar().record(0))]
         again = [t.id.tolist() for t in run(factory(OneCar().record(0).site), OneCar().record(0))]
     assert first == again
+
+
+def test_what_a_tracker_of_another_commit_draws_is_what_it_draws_here(repository):
+    """Its seed and its process's random state are the trial's, so that both sides of a gate share
+    them."""
+    draws = runpy.run_path("mine_in_git.py")["Draws"]
+    recording = OneCar().record(0)
+    here = [track(draws, recording, seed)[0].position for seed in (5, 6)]
+    with checked_out("c5") as old:
+        factory = GitTracker(old, "mine_in_git:Draws")
+        there = [track(factory, recording, seed)[0].position for seed in (5, 6, 5)]
+    np.testing.assert_array_equal(there, [*here, here[0]])
+    assert not np.array_equal(*here)
 
 
 def test_what_goes_wrong_in_the_other_process_is_told(repository):
