@@ -86,10 +86,10 @@ def _row(item: Comparison) -> dict[str, Any]:
         "real": f"{item.real:.3f}",
         "model": f"{item.model:.3f}",
         "weight": f"{item.weight:.0f}",
-        "difference": f"{100 * item.difference:+.1f}" + (" points" if recall else " %"),
+        "difference": f"{100 * item.difference:+z.1f}" + (" points" if recall else " %"),
         "interval": ""
         if item.interval is None
-        else f"{100 * item.interval[0]:+.1f} to {100 * item.interval[1]:+.1f}",
+        else f"{100 * item.interval[0]:+z.1f} to {100 * item.interval[1]:+z.1f}",
         "inside": "inside" if item.inside else "outside",
     }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,11 +18,13 @@ from reports.tables import (
     Row,
     Table,
     Verdict,
+    code_block,
     judge,
     markdown_table,
     metric_row,
     metric_rows,
     metric_tables,
+    plain_markdown,
     shown_metric,
     words,
 )
@@ -134,15 +135,17 @@ def study_page(study: StudyReport) -> str:
 def study_markdown(study: StudyReport) -> str:
     """The verdicts, the leading metrics and the failures, for a pull request."""
     summaries = [summary for summary in study.summaries if summary]
-    lines = [f"### {_plain(study.name)}", "", _plain(_lede(study, summaries)), ""]
-    lines += [f"- **{_plain(f.headline)}** {_plain(f.detail)}" for f in findings(study)]
+    lines = [f"### {plain_markdown(study.name)}", "", plain_markdown(_lede(study, summaries)), ""]
+    lines += [
+        f"- **{plain_markdown(f.headline)}** {plain_markdown(f.detail)}" for f in findings(study)
+    ]
     if summaries:
         lines += ["", *_markdown_tables(study, summaries)]
     if study.failures:
         rows = [(f.trial, f.what, f.command) for f in study.failures]
         lines += ["", markdown_table(["trial without result", "what happened", "replay"], rows, 3)]
     for what, command in study.commands.items():
-        lines += ["", f"{what}:", "", f"    {' '.join(command.split())}"]
+        lines += ["", f"{what}:", "", code_block(command)]
     return "\n".join(lines) + "\n"
 
 
@@ -391,14 +394,6 @@ def _cell_text(text: Any) -> str:
     if text is None:
         return "–"
     return f"{text.mean} ± {text.half}" if text.half else str(text.mean)
-
-
-def _plain(text: str) -> str:
-    """Text that Markdown shows as it is."""
-    text = html.escape(text, quote=False)
-    for character in "\\`*_[]|#":
-        text = text.replace(character, f"\\{character}")
-    return " ".join(text.split())
 
 
 __all__ = ["Finding", "findings", "holm", "p_value", "robustness", "study_markdown", "study_page"]

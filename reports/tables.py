@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -175,16 +177,16 @@ def words(estimate: Estimate | None, trials: int, *, signed: bool = False) -> Te
         return None
     mean = estimate.mean
     if estimate.sem is None or estimate.high is None:
-        text = f"{mean:.4g}"
+        text = f"{mean:z.4g}"
         return Text(_signed(text, signed), "", "" if trials == 1 else f"n {estimate.n}")
     half = estimate.high - mean
     detail = f"sem {estimate.sem:.2g}"
     if estimate.n != trials:
         detail += f" · n {estimate.n}"
     if half <= 1e-9 * abs(mean):
-        return Text(_signed(f"{mean:.4g}", signed), "0", detail)
+        return Text(_signed(f"{mean:z.4g}", signed), "0", detail)
     digits = min(6, max(0, 1 - math.floor(math.log10(half))))
-    return Text(_signed(f"{mean:.{digits}f}", signed), f"{half:.{digits}f}", detail)
+    return Text(_signed(f"{mean:z.{digits}f}", signed), f"{half:.{digits}f}", detail)
 
 
 def difference(
@@ -222,6 +224,17 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], words: 
     """A Markdown table; the first `words` columns are text, the others numbers."""
     lines = [header, ["---" if k < words else "--:" for k in range(len(header))], *rows]
     return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines)
+
+
+def plain_markdown(text: str) -> str:
+    """Text that Markdown shows as it is."""
+    text = re.sub(r"([\\`*\[\]|#]|(?<![0-9A-Za-z])_|_(?![0-9A-Za-z]))", r"\\\1", text)
+    return " ".join(html.escape(text, quote=False).split())
+
+
+def code_block(text: str) -> str:
+    """Text as a block of code; every line of it is indented, so that none gets out of the block."""
+    return "\n".join(f"    {line}" for line in re.split(r"\r\n|\r|\n", text))
 
 
 def _cell(text: str) -> str:

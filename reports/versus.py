@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 from pmbm.errors import InputError, nearest_hint
 from pmbm.study import Estimate, StudyResults, Summary
 from reports.study_report import ALPHA, holm, p_value
-from reports.tables import Verdict, markdown_table, shown_metric
+from reports.tables import Verdict, code_block, markdown_table, plain_markdown, shown_metric
 
 _SHOWN: dict[Verdict, str] = {"better": "better", "worse": "**worse**", "tie": "no different"}
 
@@ -100,18 +100,20 @@ def versus_markdown(
     unit = f" ({shown.unit})" if shown.unit else ""
     compared = compare(summaries, metric, leave_out=bounds)
     rivals = [name for name in first.differences if name not in bounds]
+    shown_reference = plain_markdown(reference)
     lines = [
-        f"# {results.name}: {reference} against each, {shown.name}{unit}",
+        f"# {plain_markdown(results.name)}: {shown_reference} against each, {shown.name}{unit}",
         "",
         f"{results.done} of {results.total} trials, seed {results.seed}; "
         f"{len(results.failures)} without result; pmbm {_version(results)}; "
         f"digest {(results.digest or 'none: rows are damaged')[:16]}. A cell is the mean of that "
-        f"tracker, then its paired difference from {reference} ± half of its interval, adjusted "
-        f"by Holm's procedure over all {len(compared)} comparisons (5 %), then the verdict on "
-        f"{reference}.",
+        f"tracker, then its paired difference from {shown_reference} ± half of its interval, "
+        f"adjusted by Holm's procedure over all {len(compared)} comparisons (5 %), then the "
+        f"verdict on {shown_reference}.",
     ]
     if bounds:
-        lines[-1] += f" {', '.join(bounds)} knows the truth: the difference is the regret."
+        names = ", ".join(map(plain_markdown, bounds))
+        lines[-1] += f" {names} knows the truth: the difference is the regret."
     lines += ["", *_made_by(commands), *_counts(compared, rivals, reference), ""]
     header = ["setting", "trials", reference, *rivals, *bounds]
     by_place = {(one.cell, one.tracker): one for one in compared}
@@ -138,7 +140,7 @@ def _counts(compared: Sequence[Comparison], rivals: Sequence[str], reference: st
 
 
 def _made_by(commands: Sequence[str]) -> list[str]:
-    return ["Made by:", "", *(f"    {command}" for command in commands), ""] if commands else []
+    return ["Made by:", "", *map(code_block, commands), ""] if commands else []
 
 
 def _half(difference: Estimate, level: float) -> float | None:
@@ -149,7 +151,7 @@ def _half(difference: Estimate, level: float) -> float | None:
 
 def _mean(summary: Summary, tracker: str, metric: str) -> str:
     value = summary.estimates[tracker][metric].mean
-    return "–" if value is None else f"{value:.3f}"
+    return "–" if value is None else f"{value:z.3f}"
 
 
 def _cell(summary: Summary, tracker: str, metric: str, one: Comparison | None) -> str:
@@ -157,13 +159,13 @@ def _cell(summary: Summary, tracker: str, metric: str, one: Comparison | None) -
     if one is None:
         return text
     half = "" if one.half is None else f" ± {one.half:.3f}"
-    return f"{text} ({one.difference.mean:+.3f}{half}) {_SHOWN[one.verdict]}"
+    return f"{text} ({one.difference.mean:+z.3f}{half}) {_SHOWN[one.verdict]}"
 
 
 def _regret(summary: Summary, bound: str, metric: str) -> str:
     difference = summary.differences[bound][metric].mean
     text = _mean(summary, bound, metric)
-    return text if difference is None else f"{text} ({-difference:+.3f})"
+    return text if difference is None else f"{text} ({-difference:+z.3f})"
 
 
 def _version(results: StudyResults) -> str:

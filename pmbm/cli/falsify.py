@@ -111,7 +111,7 @@ def command(
     )
     changed = ", ".join(f"{key} = {value:g}" for key, value in finding.changed.items()) or "nothing"
     click.echo(
-        f"{metric} {sign * finding.rest:.4g} -> {sign * finding.value:.4g} "
+        f"{metric} {sign * finding.rest:z.4g} -> {sign * finding.value:z.4g} "
         f"after {finding.evaluations} scenarios; changed: {changed}\n{path}"
     )
     sys.exit(1)
@@ -173,7 +173,7 @@ def _header(
 ) -> str:
     return (
         f"# Stresses what {tracker} does worst in {scenario}: {metric} "
-        f"{sign * finding.value:.4g}, where {scenario} as it is has {sign * finding.rest:.4g}.\n"
+        f"{sign * finding.value:z.4g}, where {scenario} as it is has {sign * finding.rest:z.4g}.\n"
         f"# Found by a search, made smaller while it failed.  See it again with\n"
         f"#   pmbm run {path} --tracker {tracker} --seed {seed} --trials {trials}\n\n"
     )

@@ -235,7 +235,7 @@ def _print(title: str, rows: Sequence[Comparison]) -> None:
             ""
             if row.interval is None
             else (
-                f"{100 * row.interval[0]:+.1f} to {100 * row.interval[1]:+.1f}"
+                f"{100 * row.interval[0]:+z.1f} to {100 * row.interval[1]:+z.1f}"
                 + ("" if row.inside else "  out")
             )
         )
@@ -243,7 +243,7 @@ def _print(title: str, rows: Sequence[Comparison]) -> None:
             row.name,
             f"{row.real:.3f}",
             f"{row.model:.3f}",
-            f"{100 * row.difference:+.1f}{unit}",
+            f"{100 * row.difference:+z.1f}{unit}",
             interval,
             f"{row.weight:.0f}",
         )

@@ -255,8 +255,8 @@ def _text(value: Estimate | None) -> str:
     if value is None or value.mean is None:
         return "undefined"
     if value.low is None or value.high is None:
-        return f"{value.mean:.4g}"
+        return f"{value.mean:z.4g}"
     half = (value.high - value.low) / 2
     # Two digits of the uncertainty, and the mean to the same place.
     places = 0 if half == 0 else max(0, 1 - math.floor(math.log10(half)))
-    return f"{value.mean:.{places}f} ± {half:.{places}f}" if half else f"{value.mean:.4g} ± 0"
+    return f"{value.mean:z.{places}f} ± {half:.{places}f}" if half else f"{value.mean:z.4g} ± 0"

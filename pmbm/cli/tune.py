@@ -191,8 +191,8 @@ def command(
         elif tuned.parameters and isinstance(problem, Simulated):
             gains, verdict = _held_back(problem, tuned, seed, held_back)
     found = (
-        f"{problem.metric} on {problem.where}: {tuned.value:.5g}, "
-        f"with the defaults {tuned.default_value:.5g}."
+        f"{problem.metric} on {problem.where}: {tuned.value:z.5g}, "
+        f"with the defaults {tuned.default_value:z.5g}."
     )
     _show(problem.metric, present, tuned, gains, to_stderr=out is None)
     for line in (found, verdict):
@@ -299,8 +299,8 @@ def _held_back(problem: Simulated, tuned: Tuned, seed: int, count: int) -> tuple
         return rows, f"On held-back {held.where} the gain is undefined."
     gained = gain.low > 0 if problem.maximise else gain.high < 0
     return rows, (
-        f"On held-back {held.where}, tuned - defaults: {gain.mean:.4g}, 95 % interval "
-        f"{gain.low:.4g} to {gain.high:.4g}: {'better' if gained else 'not shown to be better'}."
+        f"On held-back {held.where}, tuned - defaults: {gain.mean:z.4g}, 95 % interval "
+        f"{gain.low:z.4g} to {gain.high:z.4g}: {'better' if gained else 'not shown to be better'}."
     )
 
 

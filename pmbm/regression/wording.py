@@ -56,9 +56,9 @@ def headline(report: GateReport, scene: SceneReport) -> str:
     d = scene.decision
     sign = 1 if report.metric.lower_is_better else -1
     text = (
-        f"{scene.name}: {report.metric.name} {sign * d.baseline:.4g} -> {sign * d.candidate:.4g}, "
-        f"loss {d.loss:+.4g} in [{d.low:.4g}, {d.high:.4g}], margin {d.margin:.4g}, "
-        f"{d.trials} trials"
+        f"{scene.name}: {report.metric.name} {sign * d.baseline:z.4g} -> "
+        f"{sign * d.candidate:z.4g}, loss {d.loss:+z.4g} in [{d.low:.4g}, {d.high:.4g}], "
+        f"margin {d.margin:.4g}, {d.trials} trials"
     )
     if d.verdict is Verdict.PASS:
         text += f"; disasters in less than {100 * d.hidden:.2g} % of trials are not excluded"

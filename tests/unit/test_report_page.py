@@ -33,6 +33,8 @@ def test_numbers_end_where_their_uncertainty_ends():
     assert (text.mean, text.half, text.detail) == ("1.20", "0.50", "sem 0.12")
     assert words(estimate([None, None]), 2) is None
     assert words(estimate([2.34567]), 1).mean == "2.346"
+    for values in ([-0.0], [-0.0, -0.0], [-1e-9, 1e-2, -1e-2]):
+        assert words(estimate(values), len(values), signed=True).mean.strip("0.") == ""
     assert words(estimate([1.0, 1.2, None]), 3).detail.endswith("n 2")
     assert words(estimate([-1200.0, -800.0]), 2, signed=True).mean == "−1000"
 

@@ -179,3 +179,11 @@ def test_markdown_is_for_a_pull_request():
     assert "<img" not in hostile
     assert hostile.startswith("### ")
     assert "\n# " not in hostile
+
+
+def test_no_name_gets_out_of_its_block_of_code():
+    """A line end in a file's name would end the block, and what follows would be a page's HTML."""
+    command = "pmbm study 'a\n<img src=x>\r# b\r\n\nc.toml'"
+    text = study_markdown(study(cell(1.0), commands={"Repeat it": command}))
+    block = text.split("Repeat it:\n\n")[1].splitlines()
+    assert block == ["    pmbm study 'a", "    <img src=x>", "    # b", "    ", "    c.toml'"]
