@@ -139,8 +139,10 @@ def _object_counts(tracks: list[int], ignored: list[bool]) -> KittiCounts:
     """One object's events, from its track (-1 none) in each of its frames.
 
     Quirks kept: a switch needs a match in the frame before as well; a change of the track id, and
-    a new start after a gap, is a fragmentation only where the next frame is matched too (or there
-    is none); a match in an ignored first frame counts as tracked.
+    a new start after a gap, is a fragmentation only where the next frame is matched too; in the
+    last frame any match is one that the frame before has not, the object's first one included (the
+    program looks there after it has taken note of the match); a match in an ignored first frame
+    counts as tracked.
     """
     if all(track == -1 for track in tracks):
         return KittiCounts(objects=1, mostly_lost=1)
@@ -155,8 +157,8 @@ def _object_counts(tracks: list[int], ignored: list[bool]) -> KittiCounts:
         here, before = tracks[k], tracks[k - 1]
         if last not in (here, -1) and here != -1 and before != -1:
             switches += 1
-        changed = before != here and last != -1 and here != -1
-        if changed and (k == final or tracks[k + 1] != -1):
+        changed = before != here and here != -1
+        if changed and (k == final or (last != -1 and tracks[k + 1] != -1)):
             fragmentations += 1
         if here != -1:
             tracked, last = tracked + 1, here

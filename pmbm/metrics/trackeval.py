@@ -34,12 +34,13 @@ class SimilarScene:
     def counted(self, least: float, excused: BoolArray) -> SimilarScene:
         """What is left where some boxes count neither way, as TrackEval takes them out for KITTI.
 
-        In every frame truth and tracks of at least this similarity are matched for the largest
-        total.  Tracks matched to truth that is not observable are left out, and so are unmatched
-        tracks that are `excused` (K,); of the truth, what is not observable.
+        In every frame truth and tracks of at least this similarity, less one rounding as in
+        `trackeval_matches`, are matched for the largest total.  Tracks matched to truth that is not
+        observable are left out, and so are unmatched tracks that are `excused` (K,); of the truth,
+        what is not observable.
         """
         scene, pairs = self.scene, self.scene.pairs
-        near = np.flatnonzero(self.similarity >= least)
+        near = np.flatnonzero(_similar_enough(self.similarity, least))
         chosen = near[best_matching(pairs.truth[near], pairs.track[near], self.similarity[near])]
         truth, track = pairs.truth[chosen], pairs.track[chosen]
         seen = scene.truth.observable
@@ -112,7 +113,7 @@ def trackeval_matches(scene: Scene, similarity: FloatArray, threshold: float = 0
     continued (a bonus of 1000 each, so all that are inside the gate), and the rest maximises the
     total similarity, not the number of pairs.
     """
-    gated = np.flatnonzero((similarity >= threshold - _EPS) & (similarity > _EPS))
+    gated = np.flatnonzero(_similar_enough(similarity, threshold))
     pairs, value = scene.pairs.take(gated), similarity[gated]
     truth_id = scene.truth.index[pairs.truth]
     track_id = scene.tracks.index[pairs.track]
@@ -134,6 +135,11 @@ def trackeval_matches(scene: Scene, similarity: FloatArray, threshold: float = 0
         chosen.append(taken)
     taken = np.concatenate(chosen) if chosen else np.zeros(0, np.int64)
     return matches_of(scene, pairs.take(taken), value[taken])
+
+
+def _similar_enough(similarity: FloatArray, threshold: float) -> BoolArray:
+    """At least the threshold, less one rounding, and above nothing."""
+    return (similarity >= threshold - _EPS) & (similarity > _EPS)
 
 
 def trackeval_scores(counts: TrackEvalCounts) -> dict[str, Any]:

@@ -245,7 +245,7 @@ def _run(
             del track_of[former]
         truth_of = {j: i for i, j in track_of.items()}
     matched = gated[np.array(sorted(chosen), dtype=np.int64)]
-    return matched, mismatches, float((1 - sequence.overlap[matched]).sum())
+    return matched, mismatches, float(np.maximum(1 - sequence.overlap[matched], 0).sum())
 
 
 def _ids_by_frame(scene: Scene) -> list[IntArray]:
