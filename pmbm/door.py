@@ -160,6 +160,18 @@ class Door:
             )
         self._store("id", array)
 
+    def not_negative(self, name: str, *, hint: str) -> None:
+        array = getattr(self.value, name)
+        rows = np.flatnonzero(array < 0)
+        if len(rows):
+            raise self._fail(
+                name,
+                rows=rows,
+                expected="numbers of at least 0",
+                got=int(array[rows[0]]),
+                hint=hint,
+            )
+
     def ints(self, name: str, shape: tuple[int, ...]) -> None:
         self._store(name, self._shaped(name, np.int64, shape))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Final
 
 _LONGEST_VALUE = 80
 
@@ -88,6 +88,21 @@ class InputError(ValueError):
     def __reduce__(self) -> tuple[Any, ...]:
         # Exceptions pickle by their positional arguments alone; workers must hand on the whole.
         return _rebuild, (type(self), dict(self.__dict__))
+
+
+class InputWarning(UserWarning):
+    """Input that is used as it is, though it may not be what was meant."""
+
+
+class Verbatim(str):
+    """A text that an error shows as it is, without quotes."""
+
+    __slots__ = ()
+    __repr__ = str.__str__
+
+
+NOT_YET_CONFIRMED: Final = "negative ids usually mean 'not yet confirmed': leave those tracks out"
+"""What to do about them."""
 
 
 class BaselineMismatch(InputError):

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmbm.door import Door, frozen
-from pmbm.errors import InputError
+from pmbm.errors import NOT_YET_CONFIRMED, InputError
 from pmbm.geometry import normal_density, normal_in_polygon
 from pmbm.labels import Label
 
@@ -223,7 +223,7 @@ class Tracks:
     """What a tracker says of one frame.
 
     time : seconds.
-    id (K,) : int64, unique in the frame, the same object through the run.
+    id (K,) : int64, at least 0, unique in the frame, the same object through the run.
     position (K,3), size (K,3), yaw (K,) : the boxes, as in `Detections`.
     velocity (K,2) : m/s in the world.
     score (K,) : probability that the object exists, in [0, 1].
@@ -248,6 +248,7 @@ class Tracks:
         door.time()
         n = door.rows("position", 3)
         door.ids(n)
+        door.not_negative("id", hint=NOT_YET_CONFIRMED)
         door.boxes(n)
         door.floats("velocity", (n, 2))
         door.unit_interval("score", n)
