@@ -1,4 +1,4 @@
-"""The two named errors of the project.
+"""The named errors of the project, and its one warning.
 
 Everything that a user can get wrong ends in one `InputError` at the door, whose message is one
 line that says what, where, expected, got, and what to do.  Inside the door nothing is re-checked.

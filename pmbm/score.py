@@ -185,7 +185,7 @@ class ScoreModel:
     def load(path: str | Path) -> ScoreModel:
         """Read a model; raises InputError, naming file and key, where it cannot be used."""
         try:
-            values: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            values: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise InputError(f"score model cannot be read: {error}", file=path) from None
         known = ("scale", "base_rate", "knot", "log_odds")

@@ -21,7 +21,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises InputError, with the line, where it cannot be read.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"cannot read it: {error.strerror}", file=path) from error
     except (UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:

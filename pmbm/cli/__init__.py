@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
@@ -102,7 +104,8 @@ def main(arguments: list[str] | None = None) -> Any:
         sys.path.append(os.getcwd())
     try:
         _refuse_shadows()
-        code = group.main(args=arguments, prog_name="pmbm", standalone_mode=False)
+        with _warnings_in_a_line():
+            code = group.main(args=arguments, prog_name="pmbm", standalone_mode=False)
     except InputError as error:
         _complain(str(error))
         sys.exit(2)
@@ -141,6 +144,28 @@ def _refuse_shadows() -> None:
                 got=folder or "a folder without __init__.py",
                 hint="rename it, or take its parent off PYTHONPATH",
             )
+
+
+@contextmanager
+def _warnings_in_a_line() -> Iterator[None]:
+    """What is odd about a user's input is said without the place in the code."""
+    import warnings
+
+    from pmbm.errors import InputWarning
+
+    with warnings.catch_warnings():
+        otherwise = warnings.showwarning
+
+        def show(
+            message: Warning | str, category: type[Warning], *where: Any, **details: Any
+        ) -> None:
+            if issubclass(category, InputWarning):
+                _complain(f"warning: {message}")
+            else:
+                otherwise(message, category, *where, **details)
+
+        warnings.showwarning = show
+        yield
 
 
 def _complain(text: str) -> None:

@@ -119,11 +119,12 @@ def command(
 
 @dataclass(frozen=True)
 class _Table:
-    """One class: every tracker's scores, and by one metric the first less each other one, or of one
-    without poses, itself with them less that."""
+    """One class: every tracker's scores, why some of these are undefined, and by one metric the
+    first less each other one, or of one without poses, itself with them less that."""
 
     kind: str
     scores: Mapping[str, Scores]
+    reasons: Mapping[str, Mapping[str, str]]
     differences: Mapping[str, Difference]
 
     def figures(self) -> dict[str, Any]:
@@ -131,7 +132,11 @@ class _Table:
             name: {"difference": one.value, "low": one.low, "high": one.high}
             for name, one in self.differences.items()
         }
-        return {"scores": dict(self.scores), "less it": compared}
+        return {
+            "scores": dict(self.scores),
+            "reasons": {name: dict(found) for name, found in self.reasons.items()},
+            "less it": compared,
+        }
 
 
 def _configured(
@@ -203,6 +208,7 @@ def _table(
     return _Table(
         kind=kind,
         scores={tracker: by.scores(found) for tracker, found in runs.items()},
+        reasons={tracker: by.reasons(found) for tracker, found in runs.items()},
         differences={
             other: bootstrap_difference(
                 against(other), runs[other], name, resamples=resamples, seed=seed
@@ -213,7 +219,8 @@ def _table(
 
 
 def _markdown(title: str, tables: Sequence[_Table], metric: str, resamples: int) -> str:
-    from reports.tables import markdown_table
+    from pmbm.cli.evaluate import undefined_lines
+    from reports.tables import markdown_table, plain_markdown
 
     first = next(iter(tables[0].scores))
     bare = any(name.endswith(WITHOUT_POSES) for name in tables[0].scores)
@@ -230,6 +237,9 @@ def _markdown(title: str, tables: Sequence[_Table], metric: str, resamples: int)
         ]
         header = [table.kind, *columns, f"{metric} of {first} less it"]
         lines += ["", markdown_table(header, rows, 1)]
+        for name, reasons in table.reasons.items():
+            for why in undefined_lines(reasons):
+                lines += ["", f"{plain_markdown(name)}: {why}"]
     return "\n".join(lines) + "\n"
 
 
@@ -238,10 +248,10 @@ def _words(one: Difference | None) -> str:
         return ""
     if one.value is None or one.low is None or one.high is None:
         return "undefined"
-    return f"{one.value:+.4f} [{one.low:+.4f}, {one.high:+.4f}]"
+    return f"{one.value:+z.4f} [{one.low:+z.4f}, {one.high:+z.4f}]"
 
 
 def _cell(value: float | None) -> str:
     if value is None:
         return "–"
-    return str(value) if isinstance(value, int) else f"{value:.4f}"
+    return str(value) if isinstance(value, int) else f"{value:z.4f}"

@@ -38,16 +38,24 @@ Scores = dict[str, float | None]
 @dataclass(frozen=True)
 class Rule:
     """score : one sequence of a class (by name).  says : what the rule compares, in a few words.
-    shown : the benchmark's name of a figure -> its name among the metrics."""
+    shown : the benchmark's name of a figure -> its name among the metrics.
+    in_image : whether it compares image boxes alone."""
 
     score: Callable[[Comparison, str], Evaluation]
     says: str
     shown: Mapping[str, str]
+    in_image: bool = False
 
     def scores(self, sequences: Sequence[Evaluation]) -> Scores:
         """The figures of several sequences together, counted as one."""
         whole = combine(sequences)
         return {short: _figure(whole[name]) for short, name in self.shown.items()}
+
+    def reasons(self, sequences: Sequence[Evaluation]) -> dict[str, str]:
+        """Of the same figures, why those are undefined that are."""
+        whole = combine(sequences)
+        found = {short: whole[name].reason for short, name in self.shown.items()}
+        return {short: reason for short, reason in found.items() if reason is not None}
 
 
 def _figure(value: MetricValue) -> float | None:
@@ -75,8 +83,20 @@ def rule_of(dataset: str, name: str | None) -> Rule:
 def score_sequence(
     dataset_name: str, dataset: Dataset, sequence: str, kind: str, results: Path, rule: str | None
 ) -> Evaluation:
-    """One sequence of one class, by a rule."""
-    return rule_of(dataset_name, rule).score(dataset.compared(sequence, kind, results), kind)
+    """One sequence of one class, by a rule.
+
+    Raises InputError for results of image boxes alone, by a rule that compares more."""
+    by = rule_of(dataset_name, rule)
+    comparison = dataset.compared(sequence, kind, results)
+    if comparison.image_only is not None and not by.in_image:
+        flat = [name for name, other in RULES[dataset_name].items() if other.in_image]
+        raise comparison.image_only.error(
+            "a result without a 3D box",
+            field="height",
+            expected="above 0",
+            hint=f"image boxes alone are what --rule {' or '.join(flat)} compares",
+        )
+    return by.score(comparison, kind)
 
 
 def score_run(
@@ -125,6 +145,8 @@ def _similar(
     least: float,
     says: str,
     farthest: float = np.inf,
+    *,
+    in_image: bool = False,
 ) -> Rule:
     """CLEAR, identity and HOTA over a similarity, the benchmark's ignored boxes left out, and those
     farther from the sensor, seen from above, in whose frame the boxes then are."""
@@ -140,7 +162,7 @@ def _similar(
         counted = similar.counted(least, comparison.excused[tracks])
         return evaluate_trackeval([counted], threshold=least, similarity=says)
 
-    return Rule(score, says, _SIMILAR)
+    return Rule(score, says, _SIMILAR, in_image)
 
 
 def _iou3d(scene: Scene, _: Comparison) -> FloatArray:
@@ -281,7 +303,7 @@ RULES: Final[Mapping[str, Mapping[str, Rule]]] = {
     "kitti": {
         "iou3d": _similar(_iou3d, 0.25, "3D IoU of at least .25"),
         "bev": _similar(_near_from_above, _BARELY_NEARER, "centres within 2 m seen from above"),
-        "iou2d": _similar(_iou2d, 0.5, "IoU of at least .5 in the image"),
+        "iou2d": _similar(_iou2d, 0.5, "IoU of at least .5 in the image", in_image=True),
         "devkit": Rule(_kitti_devkit, "3D IoU of at least .25, by the devkit's counting", _KITTI),
     },
     "nuscenes": {

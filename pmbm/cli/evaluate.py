@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from pmbm.cli.many import ManyValues
-from pmbm.cli.track import FOLDER, ROOT
+from pmbm.cli.track import ROOT
 
 if TYPE_CHECKING:
     from pmbm.cli.dataset_scores import Scores
@@ -19,7 +19,12 @@ if TYPE_CHECKING:
 @click.command(cls=ManyValues)
 @click.argument("dataset_name", metavar="DATASET")
 @click.option("--root", type=ROOT, required=True, help="The dataset's folder, with its truth.")
-@click.option("--results", type=FOLDER, required=True, help="What a tracker wrote.")
+@click.option(
+    "--results",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="What a tracker wrote: a folder, or what pmbm submit packs it into.",
+)
 @click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
 @click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")
 @click.option(
@@ -59,14 +64,21 @@ def command(
     tasks = [(dataset_name, dataset, name, kind, results, rule) for kind, name in pairs]
     scored = dict(zip(pairs, spread(score_sequence, tasks, jobs, "sequences"), strict=True))
     table: dict[str, dict[str, Scores]] = {}
+    reasons: dict[str, dict[str, dict[str, str]]] = {}
     for kind in dataset.classes:
-        whole = by.scores([scored[kind, name] for name in names])
-        parts = {name: by.scores([scored[kind, name]]) for name in names} if each else {}
-        table[kind] = {"all": whole, **parts}
+        parts = {"all": names} | ({name: [name] for name in names} if each else {})
+        runs = {part: [scored[kind, name] for name in own] for part, own in parts.items()}
+        table[kind] = {part: by.scores(found) for part, found in runs.items()}
+        reasons[kind] = {part: by.reasons(found) for part, found in runs.items()}
     if json_file is not None:
-        write_json(json_file, {"dataset": dataset_name, "rule": by.says, "scores": table})
+        figures = {"dataset": dataset_name, "rule": by.says, "scores": table, "reasons": reasons}
+        write_json(json_file, figures)
     if json_file != "-":
         _show(f"{dataset_name}: {by.says}", table)
+        for kind, rows in reasons.items():
+            for part, found in rows.items():
+                for line in undefined_lines(found):
+                    click.echo(f"{kind}, {part}: {line}")
 
 
 def write_json(file: str, figures: Mapping[str, object]) -> None:
@@ -99,10 +111,17 @@ def _show(title: str, table: Mapping[str, Mapping[str, Scores]]) -> None:
     (console if console.is_terminal else Console(width=_PIPE_WIDTH)).print(shown)
 
 
+def undefined_lines(reasons: Mapping[str, str]) -> Iterator[str]:
+    """What stands behind the dashes of a row: a line for each reason."""
+    for reason in dict.fromkeys(reasons.values()):
+        figures = [name for name, why in reasons.items() if why == reason]
+        yield f"no {', '.join(figures)}: {reason}"
+
+
 _PIPE_WIDTH = 200
 
 
 def _cell(value: float | None) -> str:
     if value is None:
         return "-"
-    return str(value) if isinstance(value, int) else f"{value:.4f}"
+    return str(value) if isinstance(value, int) else f"{value:z.4f}"

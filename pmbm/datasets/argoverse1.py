@@ -12,15 +12,17 @@ from typing import Any, Final
 from pmbm.datasets.files import (
     LARGEST_SIZE,
     Place,
-    json_integer,
+    files_in,
+    id_value,
+    integer_value,
     json_key,
     json_list,
     json_object,
-    json_text,
     json_vector,
     prepare_folder,
     read_json,
     safe_name,
+    text_value,
     write_zip,
 )
 from pmbm.datasets.frames import Comparison
@@ -180,7 +182,7 @@ class Argoverse1:
         """Stamp -> file, in order of time."""
         folder = root / safe_name(sequence, Place(root), "sequences") / _SWEEPS
         found = {}
-        for path in sorted(folder.glob("*.json")) if folder.is_dir() else []:
+        for path in files_in(folder, "*.json"):
             match = _NAME.fullmatch(path.name)
             if match is None:
                 raise Place(path).error(
@@ -235,13 +237,13 @@ def _read_sweep(path: Path, stamp: int, *, named: bool) -> list[Box]:
 def _read_box(item: Mapping[str, Any], place: Place, named: bool) -> Box:
     name = ""
     if named:
-        name = json_text(json_key(item, "track_label_uuid", place), place, "track_label_uuid")
+        name = id_value(json_key(item, "track_label_uuid", place), place, "track_label_uuid")
         place = Place(place.file, place.frame, name, place.rows)
-    json_integer(json_key(item, "timestamp", place), place, "timestamp")
+    integer_value(json_key(item, "timestamp", place), place, "timestamp")
     kind = json_key(item, "label_class", place)
     if isinstance(kind, dict):
         kind = json_key(kind, "name", place)
-    kind = json_text(kind, place, "label_class")
+    kind = text_value(kind, place, "label_class")
     if kind not in _LABELS:
         raise place.error(
             "an unknown class", field="label_class", got=kind, hint=nearest_hint(kind, _LABELS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -10,13 +10,20 @@ from typing import Any, Final
 from pmbm.datasets.columns import (
     Columns,
     int_list,
-    integer,
     numbers,
     read_columns,
-    text,
     write_columns,
 )
-from pmbm.datasets.files import LARGEST_SIZE, Place, prepare_folder, safe_name
+from pmbm.datasets.files import (
+    LARGEST_SIZE,
+    Place,
+    id_value,
+    integer_value,
+    prepare_folder,
+    result_file,
+    safe_name,
+    text_value,
+)
 from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
     Box,
@@ -83,8 +90,10 @@ class Argoverse2:
     detections : one feather file with the detections of all logs; None for none.
     classes : any that differ in label.
 
-    World: the city's frame.  Truth without a single lidar point in it is not observable.  Results
-    are feather files of the annotations' form with a score, and a list of all frames.
+    World: the city's frame.  Truth without a single lidar point in it is not observable.  A log's
+    frames are the sweeps that are annotated or have detections.  Results are feather files of the
+    annotations' form with a score, one a log or one for all with a log_id, and a list of all frames
+    as a note; where they have none, a sweep without a row is one without tracks.
     """
 
     root: Path
@@ -114,14 +123,15 @@ class Argoverse2:
         return sorted(logs)
 
     def recording(self, sequence: str, *, truth: bool = True) -> Recording:
-        """One log in the city's frame; without `truth` its annotations are not read.
+        """One log in the city's frame; without `truth` no more is read of its annotations than the
+        times of its sweeps.
 
-        Its frames are the sweeps that are annotated or have detections.  Raises InputError for
-        missing or bad files, and for a sweep that has no pose of exactly its time.
+        Raises InputError for missing or bad files, and for a sweep that has no pose of exactly its
+        time.
         """
         labelled = self._truth(sequence) if truth or self.detections is None else {}
         detected = {} if self.detections is None else self._detected(sequence)
-        timeline = self._timeline(sequence, sorted({*labelled, *detected}))
+        timeline = self._timeline(sequence, self._sweeps(sequence, detected))
         return log_recording(
             name=f"argoverse2-{sequence}",
             timeline=timeline,
@@ -135,8 +145,8 @@ class Argoverse2:
 
     def write(self, sequence: str, tracks: TrackSequence, out: Path) -> Path:
         """Write `out`/LOG.feather and give its path."""
-        known = self._truth(sequence) if self.detections is None else self._detected(sequence)
-        timeline = self._timeline(sequence, sorted(known))
+        detected = {} if self.detections is None else self._detected(sequence)
+        timeline = self._timeline(sequence, self._sweeps(sequence, detected))
         frames = submission_boxes(timeline, tracks, _LABELS, self.classes)
         rows = [
             (stamp, box)
@@ -172,19 +182,18 @@ class Argoverse2:
         for sequence in sequences:
             stamps, _ = self._results(sequence, folder)
             frames[sequence] = list(stamps)
-            table = read_columns(
-                Path(folder) / f"{sequence}.feather", names[1:], parquet=False
-            ).values
+            table = self._result_table(sequence, folder)
+            own = _rows_of(table, sequence)
             for name in names[1:]:
-                joined[name] += table[name]
-            joined["log_id"] += [sequence] * len(table["score"])
+                joined[name] += [table.values[name][row] for row in own]
+            joined["log_id"] += [sequence] * len(own)
         path = Path(folder) / "submission.feather"
         write_columns(path, joined, {"frames": frames})
         return path
 
     def read(self, sequence: str, folder: Path) -> TrackSequence:
-        """The tracks of `folder`/LOG.feather in the city's frame, a report for every frame listed
-        in it."""
+        """The tracks of `folder`/LOG.feather (or of a file for all logs, in `folder` or in its
+        place) in the city's frame, a report for every frame that they are of."""
         stamps, results = self._results(sequence, folder)
         timeline = self._timeline(sequence, stamps)
         return log_tracks(timeline, _frames(results, timeline), _LABELS)
@@ -192,10 +201,11 @@ class Argoverse2:
     def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
         """Annotations and results of one class in the vehicle's frame.
 
-        Raises InputError unless the results list exactly the annotated sweeps."""
+        Raises InputError unless the list of the results' frames, or without a list what rows there
+        are, fits the annotated sweeps."""
         labelled = self._truth(sequence)
         stamps, results = self._results(sequence, folder)
-        place = Place(Path(folder) / f"{sequence}.feather")
+        place = Place(self._result_path(sequence, folder))
         for stamp in sorted(set(stamps) ^ set(labelled)):
             known = "annotated but not in the results" if stamp in labelled else "not annotated"
             raise place.error(f"a frame is {known}", frame=stamp, field="timestamp_ns")
@@ -206,42 +216,63 @@ class Argoverse2:
     def _folder(self, sequence: str) -> Path:
         return self.root / safe_name(sequence, Place(self.root), "sequences")
 
-    def _truth(self, sequence: str) -> dict[int, list[Box]]:
+    def _annotations(self, sequence: str) -> Path:
         path = self._folder(sequence) / "annotations.feather"
         with_ego = path.with_name("annotations_with_ego.feather")
-        if not path.exists() and with_ego.exists():
-            path = with_ego
+        return with_ego if not path.exists() and with_ego.exists() else path
+
+    def _truth(self, sequence: str) -> dict[int, list[Box]]:
         table = read_columns(
-            path,
+            self._annotations(sequence),
             (*_COMMON, "track_uuid"),
             parquet=False,
             optional=("num_interior_pts",),
         )
-        return _read_boxes(table, named=True)
+        return _read_boxes(table, range(table.length), named=True)
+
+    def _sweeps(self, sequence: str, detected: Iterable[int]) -> list[int]:
+        """The stamps of the log's frames, by time: a sweep without a detection has no row in the
+        table of detections, so what else tells of it is asked."""
+        path = self._annotations(sequence)
+        annotated: set[int] = set()
+        if path.exists() or self.detections is None:
+            table = read_columns(path, ("timestamp_ns",), parquet=False)
+            annotated = {
+                integer_value(stamp, Place(path, rows=(row,)), "timestamp_ns")
+                for row, stamp in enumerate(table.values["timestamp_ns"])
+            }
+        return sorted(annotated.union(detected))
 
     def _detected(self, sequence: str) -> dict[int, list[Box]]:
-        table = read_columns(
-            Path(str(self.detections)), (*_COMMON, "score", "log_id"), parquet=False
-        )
-        found = _read_boxes(table, named=False, log=sequence)
-        if not found:
-            logs = sorted({str(log) for log in table.values["log_id"]})
-            raise Place(table.file).error(
-                f"no detections of log {sequence}",
-                field="log_id",
-                hint=nearest_hint(sequence, logs, "log") if len(logs) < 50 else None,
-            )
-        return found
+        path = Path(str(self.detections))
+        table = read_columns(path, (*_COMMON, "score", "log_id"), parquet=False)
+        return _read_boxes(table, _rows_of(table, sequence), named=False)
+
+    def _result_path(self, sequence: str, folder: Path) -> Path:
+        name = safe_name(sequence, Place(Path(folder)), "sequences")
+        return result_file(Path(folder), f"{name}.feather", self.sequences)
+
+    def _result_table(self, sequence: str, folder: Path) -> Columns:
+        path = self._result_path(sequence, folder)
+        needed = (*_COMMON, "score", "track_uuid")
+        return read_columns(path, needed, parquet=False, optional=("log_id",))
 
     def _results(self, sequence: str, folder: Path) -> tuple[tuple[int, ...], dict[int, list[Box]]]:
-        path = Path(folder) / f"{safe_name(sequence, Place(Path(folder)), 'sequences')}.feather"
-        table = read_columns(path, (*_COMMON, "score", "track_uuid"), parquet=False)
-        found = _read_boxes(table, named=True)
-        stamps = int_list(table.note.get("frames"))
+        """The stamps of the frames that the results are of, and the boxes by stamp."""
+        table = self._result_table(sequence, folder)
+        listed = table.note.get("frames")
+        if isinstance(listed, dict):
+            listed = listed.get(sequence)
+        stamps = int_list(listed)
+        rows = _rows_of(table, sequence, listed=stamps is not None)
+        found = _read_boxes(table, rows, named=True)
         if stamps is None:
-            stamps = tuple(sorted(found))
+            detected = () if self.detections is None else self._detected(sequence)
+            return tuple(sorted({*self._sweeps(sequence, detected), *found})), found
         if list(stamps) != sorted({*stamps, *found}):
-            raise Place(path).error("the list of frames is not that of the rows", field="frames")
+            raise Place(table.file).error(
+                "the list of frames is not that of the rows", field="frames"
+            )
         return stamps, found
 
     def _timeline(self, sequence: str, stamps: Sequence[int]) -> Timeline:
@@ -251,7 +282,7 @@ class Argoverse2:
         poses: dict[int, Pose] = {}
         for row, values in table.rows():
             place = Place(path, rows=(row,))
-            stamp = integer(values["timestamp_ns"], place, "timestamp_ns")
+            stamp = integer_value(values["timestamp_ns"], place, "timestamp_ns")
             if stamp not in wanted:
                 continue
             place = Place(path, frame=stamp, rows=(row,))
@@ -269,20 +300,38 @@ def _frames(found: Mapping[int, list[Box]], timeline: Timeline) -> list[list[Box
     return [found.get(stamp, []) for stamp in timeline.stamps]
 
 
-def _read_boxes(table: Columns, *, named: bool, log: str | None = None) -> dict[int, list[Box]]:
-    """Stamp -> boxes, by time; of one log where the table holds several."""
+def _rows_of(table: Columns, log: str, *, listed: bool = False) -> list[int]:
+    """The rows of one log; all of a table that does not name logs.  Raises InputError where there
+    are none, unless the log is `listed`."""
+    if "log_id" not in table.values:
+        return list(range(table.length))
+    names = [
+        text_value(name, Place(table.file, rows=(row,)), "log_id")
+        for row, name in enumerate(table.values["log_id"])
+    ]
+    if log not in names and not listed:
+        known = sorted(set(names))
+        raise Place(table.file).error(
+            f"no boxes of log {log}",
+            field="log_id",
+            hint=nearest_hint(log, known, "log") if len(known) < 50 else None,
+        )
+    return [row for row, name in enumerate(names) if name == log]
+
+
+def _read_boxes(table: Columns, rows: Iterable[int], *, named: bool) -> dict[int, list[Box]]:
+    """Stamp -> boxes of these rows, by time."""
     found: dict[int, list[Box]] = {}
-    for row, values in table.rows():
+    for row in rows:
+        values = {name: column[row] for name, column in table.values.items()}
         place = Place(table.file, rows=(row,))
-        if log is not None and text(values["log_id"], place, "log_id") != log:
-            continue
-        stamp = integer(values["timestamp_ns"], place, "timestamp_ns")
+        stamp = integer_value(values["timestamp_ns"], place, "timestamp_ns")
         place = Place(table.file, frame=stamp, rows=(row,))
-        kind = text(values["category"], place, "category")
+        kind = text_value(values["category"], place, "category")
         boxes = found.setdefault(stamp, [])
         if kind == _EGO:
             continue
-        name = text(values["track_uuid"], place, "track_uuid") if named else ""
+        name = id_value(values["track_uuid"], place, "track_uuid") if named else ""
         boxes.append(_read_box(values, kind, name, Place(table.file, stamp, name or None, (row,))))
     if named:
         for stamp, boxes in found.items():
@@ -309,5 +358,5 @@ def _read_box(values: Mapping[str, Any], kind: str, name: str, place: Place) -> 
         (length, width, height),
         matrix_yaw(rotation),
         score=score,
-        observable=integer(points, place, "num_interior_pts") > 0,
+        observable=integer_value(points, place, "num_interior_pts") > 0,
     )

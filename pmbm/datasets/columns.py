@@ -11,7 +11,7 @@ from typing import Any
 
 from pmbm.datasets.files import LARGEST_LENGTH, Place, read_bytes
 from pmbm.durable import replace_bytes
-from pmbm.errors import InputError, nearest_hint
+from pmbm.errors import InputError, Verbatim, nearest_hint
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,8 @@ def read_columns(
 ) -> Columns:
     """The needed columns and those optional ones that there are.
 
-    Raises InputError where the file is no such table, or lacks a column.
+    Raises InputError where the file is no such table, lacks a column, or has one of half precision,
+    which cannot hold a place to better than metres.
     """
     arrow = _arrow()
     content = read_bytes(path)
@@ -53,9 +54,17 @@ def read_columns(
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise InputError("a column is given twice", file=path, field=twice)
-        values = {
-            name: table.column(name).to_pylist() for name in (*needed, *optional) if name in names
-        }
+        wanted = [name for name in (*needed, *optional) if name in names]
+        for name in wanted:
+            if arrow.types.is_float16(table.schema.field(name).type):
+                raise InputError(
+                    "a column of half precision",
+                    file=path,
+                    field=name,
+                    expected="float32 or float64",
+                    got=Verbatim("float16"),
+                )
+        values = {name: table.column(name).to_pylist() for name in wanted}
         note = _note(table.schema.metadata or {})
     except InputError:
         raise
@@ -82,20 +91,6 @@ def write_columns(
     buffer = BytesIO()
     pyarrow.feather.write_feather(table, buffer, compression="uncompressed")
     replace_bytes(path, buffer.getvalue())
-
-
-def integer(value: Any, place: Place, name: str) -> int:
-    """An integer of at most 64 bits; a float is refused, which would have rounded nanoseconds."""
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise place.error("not an integer", field=name, expected="an integer", got=value)
-    return value
-
-
-def text(value: Any, place: Place, name: str) -> str:
-    """A non-empty string."""
-    if not isinstance(value, str) or not value:
-        raise place.error("not a text", field=name, expected="a non-empty string", got=repr(value))
-    return value
 
 
 def numbers(

@@ -7,14 +7,17 @@ import io
 import json
 import math
 import re
+import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
 from pmbm.durable import replace_bytes
-from pmbm.errors import InputError, nearest_hint
+from pmbm.errors import NOT_YET_CONFIRMED, InputError, InputWarning, Verbatim, nearest_hint
 
 LARGEST_LENGTH: Final = 1e8
 """Metres beyond which no coordinate is believed (more than twice the Earth's girth)."""
@@ -23,6 +26,10 @@ LARGEST_SIZE: Final = 1000.0
 _NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _INTEGER: Final = re.compile(r"[+-]?[0-9]{1,19}")
 _INT64: Final = range(-(2**63), 2**63)
+_EXACT: Final = 2**53
+"""The integers up to which a double tells neighbours apart."""
+_LARGEST_MEMBER: Final = 2**30
+"""Bytes beyond which no file inside an archive is unpacked."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,17 @@ class Place:
             )
         return value
 
+    def whole(
+        self, token: str, name: str, *, at_least: int | None = None, at_most: int | None = None
+    ) -> int:
+        """An integer, also as a decimal number without a fraction (`3.0`), which is how programs
+        write it that keep a table of floats."""
+        if _NUMBER.fullmatch(token) and not _INTEGER.fullmatch(token):
+            value = float(token)
+            if value.is_integer() and abs(value) < _EXACT:
+                token = str(int(value))
+        return self.integer(token, name, at_least=at_least, at_most=at_most)
+
     def number(
         self,
         token: str,
@@ -78,7 +96,9 @@ class Place:
     ) -> float:
         """The same check of a number that has been parsed already."""
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error("not a number", field=name, expected="a finite number", got=value)
+            raise self.error(
+                "not a number", field=name, expected="a finite number", got=as_read(value)
+            )
         if not abs(value) <= within or (above is not None and value <= above):
             floor = "" if above is None else f"above {above:g} and "
             raise self.error(
@@ -91,10 +111,13 @@ class Place:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The file's bytes; InputError where there are none to read."""
+    """The file's bytes, which may lie in a zip archive (`results.zip/0000.txt`); InputError where
+    there are none to read."""
     try:
         return path.read_bytes()
     except OSError as error:
+        if _is_in_a_file(path):
+            return _unpacked(path)
         what = "no such file" if isinstance(error, FileNotFoundError) else str(error.strerror)
         hint = None
         if isinstance(error, FileNotFoundError) and path.parent.is_dir():
@@ -103,11 +126,74 @@ def read_bytes(path: Path) -> bytes:
         raise InputError(what, file=path, hint=hint) from None
 
 
+def files_in(folder: Path, pattern: str) -> list[Path]:
+    """The files of a folder, which may lie in a zip archive, whose names fit, in order of name."""
+    if folder.is_dir():
+        return sorted(folder.glob(pattern))
+    if not _is_in_a_file(folder / pattern):
+        return []
+    archive, inside = _archive(folder / pattern)
+    start = inside.removesuffix(pattern)
+    names = [name.removeprefix(start) for name in archive.namelist() if name.startswith(start)]
+    return sorted(folder / name for name in names if Path(name).match(pattern) and "/" not in name)
+
+
+def _is_in_a_file(path: Path) -> bool:
+    return any(parent.is_file() for parent in path.parents)
+
+
+def _unpacked(path: Path) -> bytes:
+    archive, inside = _archive(path)
+    if inside not in archive.namelist():
+        raise InputError("no such file in the archive", file=path)
+    if archive.getinfo(inside).file_size > _LARGEST_MEMBER:
+        raise InputError(
+            "too large a file in an archive", file=path, expected=f"{_LARGEST_MEMBER} bytes"
+        )
+    try:
+        return archive.read(inside)
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"not a readable archive: {error}", file=path) from None
+
+
+def _archive(path: Path) -> tuple[zipfile.ZipFile, str]:
+    """The archive that is a parent of `path`, and the path's name in it."""
+    file = next(parent for parent in path.parents if parent.is_file())
+    state = file.stat()
+    return _opened(file, state.st_mtime_ns, state.st_size), path.relative_to(file).as_posix()
+
+
+@lru_cache(maxsize=1)
+def _opened(file: Path, _changed: int, _size: int) -> zipfile.ZipFile:
+    try:
+        archive = zipfile.ZipFile(file)
+    except (zipfile.BadZipFile, OSError, ValueError) as error:
+        raise InputError(f"not a folder or a zip archive: {error}", file=file) from None
+    names = archive.namelist()
+    if len(set(names)) < len(names):
+        raise InputError("an archive with two files of one name", file=file)
+    return archive
+
+
+def result_file(results: Path, name: str, sequences: Callable[[], Iterable[str]]) -> Path:
+    """Where the results of a sequence stand: `results` itself where it is a file; in a folder the
+    file of that name, or, where no file there is named after a sequence, the only one of its kind,
+    which then holds those of all."""
+    own = results / name
+    if results.is_file():
+        return results
+    if own.exists():
+        return own
+    there = files_in(results, f"*{own.suffix}")
+    named = {f"{sequence}{own.suffix}" for sequence in sequences()} if len(there) == 1 else ()
+    return own if len(there) != 1 or there[0].name in named else there[0]
+
+
 def read_text(path: Path) -> str:
-    """The file's text, UTF-8."""
+    """The file's text, UTF-8, without the mark that some editors put before it."""
     content = read_bytes(path)
     try:
-        return content.decode("utf-8")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
             "not a text file", file=path, expected="UTF-8", got=f"byte {error.start}"
@@ -115,8 +201,16 @@ def read_text(path: Path) -> str:
 
 
 def text_rows(path: Path, separator: str | None) -> Iterator[tuple[Place, list[str]]]:
-    """The file's non-blank lines as tokens, each with its place (lines count from 1)."""
-    for number, line in enumerate(read_text(path).split("\n"), 1):
+    """The file's non-blank lines as tokens, each with its place (lines count from 1).
+
+    Warns where the last line is not ended: a table of lines does not show what it was cut by."""
+    text = read_text(path)
+    if text and not text.endswith("\n"):
+        warnings.warn(
+            InputWarning(f"no line end at the end of the file: it may be cut short (file {path})"),
+            stacklevel=2,
+        )
+    for number, line in enumerate(text.split("\n"), 1):
         if line.strip():
             tokens = [token.strip() for token in line.strip().split(separator)]
             yield Place(path, rows=(number,)), tokens
@@ -148,14 +242,14 @@ def _object(pairs: list[tuple[str, Any]], path: Path) -> dict[str, Any]:
 def json_object(value: Any, place: Place, name: str | None = None) -> Mapping[str, Any]:
     """`value` if it is a JSON object."""
     if not isinstance(value, dict):
-        raise place.error("not an object", field=name, expected="{...}", got=type(value).__name__)
+        raise place.error("not an object", field=name, expected="{...}", got=as_read(value))
     return value
 
 
 def json_list(value: Any, place: Place, name: str | None = None) -> list[Any]:
     """`value` if it is a JSON list."""
     if not isinstance(value, list):
-        raise place.error("not a list", field=name, expected="[...]", got=type(value).__name__)
+        raise place.error("not a list", field=name, expected="[...]", got=as_read(value))
     return value
 
 
@@ -166,19 +260,48 @@ def json_key(value: Mapping[str, Any], key: str, place: Place) -> Any:
     return value[key]
 
 
-def json_text(value: Any, place: Place, name: str) -> str:
+def as_read(value: Any) -> Any:
+    """A value that is not of the type it should be, for an error's `got`: as its file writes it,
+    `true` and `null` and not `True` and nothing."""
+    if isinstance(value, list | dict):
+        return Verbatim("a list" if isinstance(value, list) else "an object")
+    known = value is None or isinstance(value, str | bool | int | float)
+    if not known or (isinstance(value, str) and value):
+        return value
+    return Verbatim(json.dumps(value))
+
+
+def text_value(value: Any, place: Place, name: str) -> str:
     """`value` if it is a non-empty string that can be written again."""
     good = isinstance(value, str) and value != ""
     if not good or any(0xD800 <= ord(c) < 0xE000 for c in value):
-        raise place.error("not a text", field=name, expected="a non-empty string", got=repr(value))
+        raise place.error(
+            "not a text", field=name, expected="a non-empty string", got=as_read(value)
+        )
     return str(value)
 
 
-def json_integer(value: Any, place: Place, name: str) -> int:
+def id_value(value: Any, place: Place, name: str) -> str:
+    """An object's id: a non-empty string, or an integer, which stands for its digits.  A negative
+    one is refused: trackers give it to what they are not sure of yet."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        if value < 0:
+            raise place.error(
+                "not an id",
+                field=name,
+                expected="a non-empty string or an integer of at least 0",
+                got=value,
+                hint=NOT_YET_CONFIRMED,
+            )
+        return str(value)
+    return text_value(value, place, name)
+
+
+def integer_value(value: Any, place: Place, name: str) -> int:
     """`value` if it is an integer of at most 64 bits; never through a float, which would round
     nanoseconds."""
     if isinstance(value, bool) or not isinstance(value, int) or value not in _INT64:
-        raise place.error("not an integer", field=name, expected="an integer", got=value)
+        raise place.error("not an integer", field=name, expected="an integer", got=as_read(value))
     return value
 
 
@@ -220,14 +343,14 @@ def prepare_folder(path: Path) -> Path:
 
 
 def write_zip(path: Path, members: Mapping[str, Path]) -> None:
-    """Write the whole archive or none of it; equal files give equal bytes.
+    """Write the whole archive of text files or none of it; equal texts give equal bytes.
 
     members : name in the archive -> file.
     """
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, file in members.items():
-            archive.writestr(zipfile.ZipInfo(name), read_bytes(file), zipfile.ZIP_DEFLATED)
+            archive.writestr(zipfile.ZipInfo(name), read_text(file), zipfile.ZIP_DEFLATED)
     replace_bytes(path, buffer.getvalue())
 
 

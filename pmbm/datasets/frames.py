@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pmbm.datasets.files import Place
 from pmbm.datasets.poses import Pose
 from pmbm.types import (
     BoolArray,
@@ -178,6 +179,8 @@ class Comparison:
     hard (N,) or None : of the more difficult kind.
     sensor (F,3) or None : the sensor's place in the world.
     confidence (K,) or None : the tracks' scores as written, where they are no probabilities.
+    image_only : where the first track stands that has an image box alone: its place and size here
+        are stand-ins; None where all have places.
     """
 
     truth: tuple[GroundTruth, ...]
@@ -188,6 +191,7 @@ class Comparison:
     hard: BoolArray | None = None
     sensor: FloatArray | None = None
     confidence: FloatArray | None = None
+    image_only: Place | None = None
 
 
 def track_frames(

@@ -79,6 +79,7 @@ _TYPES: Final[Mapping[Label, str]] = {
 _VISIBILITY: Final[Mapping[int, float]] = {-1: 1.0, 0: 1.0, 1: 0.75, 2: 0.25, 3: 0.0}
 """The middle of what each occlusion level stands for; 3 is unknown, and not scored."""
 _SMALLEST_PIXELS: Final = 25.0
+_EPS: Final = float(np.finfo(np.float64).eps)
 _MAX_RANGE: Final = 80.0
 _CONFIDENCE: Final[Mapping[str, tuple[float, float]]] = {
     "Car": (0.81, -2.85),
@@ -203,6 +204,10 @@ class Kitti:
         _, poses = self._places(sequence)
         path = Path(folder) / f"{_checked(sequence)}.txt"
         results = read_objects(path, scored=True)
+        if not results.solid.all():
+            raise _first(results, ~results.solid, path).error(
+                "a result without a 3D box has no place in the world", field="height"
+            )
         tables = (
             [results]
             if poses is not None or not self._has_labels()
@@ -229,19 +234,33 @@ class Kitti:
     def submit(self, sequences: Sequence[str], folder: Path) -> Path:
         """Pack the results of these sequences into `folder`/submission.zip.
 
-        Raises InputError where a sequence has no result, or a bad one."""
+        Raises InputError where a sequence has no result, or a bad one: one without an image box,
+        which is all that the benchmark compares, among them."""
         for sequence in sequences:
-            self.results(sequence, folder)
+            results = self.results(sequence, folder)
+            if not results.in_image.all():
+                path = Path(folder) / f"{sequence}.txt"
+                raise _first(results, ~results.in_image, path).error(
+                    "a result without an image box",
+                    field="bbox",
+                    expected="left, top, right, bottom",
+                    got=results.box[np.argmin(results.in_image)].tolist(),
+                    hint="the benchmark compares image boxes; pmbm track writes them",
+                )
         path = Path(folder) / "submission.zip"
         write_zip(path, {f"{name}.txt": Path(folder) / f"{name}.txt" for name in sequences})
         return path
 
     def unjudged(self, sequence: str) -> tuple[BoolArray, ...]:
         """Of the detections of each frame, as `recording` has them, those that the labels leave
-        open: no higher than 25 pixels, or more than half inside a DontCare region."""
-        _, poses = self._places(sequence)
+        open: no higher than 25 pixels, or more than half inside a DontCare region.  Without an
+        image box, that of the 3D box is taken."""
+        calibration, poses = self._places(sequence)
         labels = self._labels(sequence)
-        seen = [self._detections(sequence, kind) for kind in self._kinds()]
+        seen = [
+            _with_image_boxes(self._detections(sequence, kind), calibration)
+            for kind in self._kinds()
+        ]
         frames = self._frames(sequence, poses, [*seen, labels])
         parts = [(_excused(one, labels), _by_frame(one, frames)) for one in seen]
         return tuple(
@@ -260,17 +279,26 @@ class Kitti:
     def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
         """Labels and results of one class in the camera's frame, by the benchmark's rules: truth of
         neighbouring classes, truncated, or occluded beyond judgement is not observable; results no
-        higher than 25 pixels, or more than half inside a DontCare region, are excused.
+        higher than 25 pixels, or more than half inside a DontCare region, are excused.  Where there
+        is no image box, that of the 3D box is taken.
 
         Raises InputError where either file is missing or bad: a frame without results counts as
         empty, a sequence without them is refused.
         """
         labels, results = self._labels(sequence), self.results(sequence, folder)
         results = results.take([i for i, name in enumerate(results.type) if name == kind])
+        if not (labels.in_image.all() and results.in_image.all()):
+            calibration, _ = self._places(sequence)
+            labels = _with_image_boxes(labels, calibration)
+            results = _with_image_boxes(results, calibration)
         frames = max(labels.length, results.length)
         truth_rows = [i for i, name in enumerate(labels.type) if name in (kind, *NEIGHBOURS[kind])]
         truth = labels.take(truth_rows).by_id()
         results = results.by_id()
+        flat = None
+        if not results.solid.all():
+            flat = _first(results, ~results.solid, Path(folder) / f"{sequence}.txt")
+            results = replace(results, size=np.where(results.solid[:, None], results.size, 1.0))
         counted = np.array([name == kind for name in truth.type], dtype=bool)
         standing = (STANDING,) * frames
         return Comparison(
@@ -292,6 +320,7 @@ class Kitti:
             truth_image=truth.box,
             tracks_image=results.box,
             confidence=results.score,
+            image_only=flat,
         )
 
     def _places(self, sequence: str) -> tuple[Calibration, tuple[Pose, ...] | None]:
@@ -363,8 +392,26 @@ def _excused(results: KittiObjects, labels: KittiObjects) -> BoolArray:
         width = np.minimum(right, region[2]) - np.maximum(left, region[0])
         height = np.minimum(bottom, region[3]) - np.maximum(top, region[1])
         shared = np.clip(width, 0, None) * np.clip(height, 0, None) / area
-        inside |= (results.frame == frame) & (shared > 0.5)
+        inside |= (results.frame == frame) & (shared > 0.5 + _EPS)
     return small | inside
+
+
+def _with_image_boxes(objects: KittiObjects, calibration: Calibration) -> KittiObjects:
+    """An image box for each object that has none, but a filler (-1 -1 -1 -1, 0 0 0 0): that of the
+    part of its 3D box which the image shows; where it shows none, 0 0 0 0, as high as nothing."""
+    rows = np.flatnonzero(objects.solid & ~objects.in_image)
+    solid = _boxes(objects, rows)
+    corners = to_camera(box_corners(solid.position, solid.size, solid.yaw))
+    box = objects.box.copy()
+    for row, shown in zip(rows, image_boxes(corners, calibration), strict=True):
+        box[row] = 0.0 if shown is None else shown
+    return replace(objects, box=box)
+
+
+def _first(objects: KittiObjects, rows: BoolArray, path: Path) -> Place:
+    """Where the first of these rows stands."""
+    row = int(np.argmax(rows))
+    return Place(path, frame=int(objects.frame[row]), object_id=int(objects.id[row]))
 
 
 def _checked(sequence: str) -> str:
@@ -438,6 +485,7 @@ def _submission(frame: int, tracks: Tracks, pose: Pose, calibration: Calibration
         size=tracks.size[rows],
         bottom=bottom,
         rotation_y=rotation,
+        solid=np.ones(n, dtype=bool),
         score=tracks.score[rows],
         dont_care_frame=np.zeros(0, np.int64),
         dont_care_box=np.zeros((0, 4)),

@@ -16,7 +16,7 @@ import numpy as np
 from pmbm.datasets.files import LARGEST_SIZE, Place, text_rows
 from pmbm.datasets.poses import Pose, pose
 from pmbm.errors import nearest_hint
-from pmbm.types import FloatArray, IntArray
+from pmbm.types import BoolArray, FloatArray, IntArray
 
 TYPES: Final = (
     "Car",
@@ -30,6 +30,7 @@ TYPES: Final = (
     "Misc",
 )
 DONT_CARE: Final = "DontCare"
+_TYPE_OF: Final = {name.lower(): name for name in (*TYPES, DONT_CARE)}
 _DETECTED_TYPES: Final = {1: "Pedestrian", 2: "Car", 3: "Cyclist"}
 LONGEST: Final = 20_000
 """Frames beyond which a sequence's length is not believed (the longest has 1,176)."""
@@ -58,6 +59,7 @@ _PER_ROW: Final = (
     "size",
     "bottom",
     "rotation_y",
+    "solid",
 )
 
 
@@ -68,10 +70,11 @@ class KittiObjects:
     frame, id (N,) : id is -1 in detections, which have none.
     type (N,) : the class names.
     truncated, occluded (N,), alpha (N,) : as in the file.
-    box (N,4) : left, top, right, bottom, pixels.
+    box (N,4) : left, top, right, bottom, pixels; a point (-1 -1 -1 -1, 0 0 0 0) is a filler.
     size (N,3) : length, width, height, m.
     bottom (N,3) : centre of the bottom face, m, camera axes.
     rotation_y (N,) : rad.
+    solid (N,) : whether there is a 3D box; size, bottom and rotation_y are 0 where there is none.
     score (N,) or None : of results and detections, unbounded.
     dont_care_frame (D,), dont_care_box (D,4) : the image regions that labels leave out.
     """
@@ -86,6 +89,7 @@ class KittiObjects:
     size: FloatArray
     bottom: FloatArray
     rotation_y: FloatArray
+    solid: BoolArray
     score: FloatArray | None
     dont_care_frame: IntArray
     dont_care_box: FloatArray
@@ -103,6 +107,12 @@ class KittiObjects:
             dont_care_box=self.dont_care_box,
             **{name: getattr(self, name)[index] for name in _PER_ROW},
         )
+
+    @property
+    def in_image(self) -> BoolArray:
+        """Whether each has an image box and no filler (N,)."""
+        left, top, right, bottom = self.box.T
+        return (right > left) | (bottom > top)
 
     def by_id(self) -> KittiObjects:
         """The rows in order of frame, then id."""
@@ -133,25 +143,33 @@ class Calibration:
 
 
 def read_objects(path: Path, *, scored: bool) -> KittiObjects:
-    """A label file (17 columns) or, `scored`, a result file (18).
+    """A label file (17 columns) or, `scored`, a result file (18, or 17 where no result has a score,
+    which then is 1).
+
+    As the benchmark's own readers do, takes class names in any case and whole numbers written as
+    decimals, and of results passes over DontCare and the id -1, and takes an image box alone, with
+    fillers (-1 or 0) for the sides of the 3D box.
 
     Raises InputError for anything but finite boxes of known classes, each id once in a frame.
     """
-    columns = 18 if scored else 17
+    columns: tuple[int, ...] = (17, 18) if scored else (17,)
     named: list[tuple[int, int, str]] = []
     numbers: list[list[float]] = []
     regions: list[list[float]] = []
     seen = set()
     for place, tokens in text_rows(path, None):
-        _check_columns(place, tokens, columns)
-        frame = place.integer(tokens[0], "frame", at_least=0, at_most=LONGEST - 1)
+        _check_columns(place, tokens, *columns)
+        # One length for all: a line that lost its score is no line without one.
+        columns = (len(tokens),)
+        frame = place.whole(tokens[0], "frame", at_least=0, at_most=LONGEST - 1)
         place = Place(path, frame=frame, rows=place.rows)
-        kind = tokens[2]
+        kind = _known_type(place, tokens[2])
         if kind == DONT_CARE and not scored:
             regions.append([frame, *_pixels(place, tokens[6:10])])
             continue
-        _check_type(place, kind)
-        object_id = place.integer(tokens[1], "track_id", at_least=0)
+        object_id = place.whole(tokens[1], "track_id", at_least=-1 if scored else 0)
+        if scored and (kind == DONT_CARE or object_id == -1):
+            continue
         place = Place(path, frame=frame, object_id=object_id, rows=place.rows)
         if (frame, object_id) in seen:
             raise place.error("the same id twice in a frame", field="track_id", got=object_id)
@@ -160,11 +178,11 @@ def read_objects(path: Path, *, scored: bool) -> KittiObjects:
         numbers.append(
             [
                 place.number(tokens[3], "truncated", within=2.0),
-                place.integer(tokens[4], "occluded", at_least=-1, at_most=3),
+                place.whole(tokens[4], "occluded", at_least=-1, at_most=3),
                 place.number(tokens[5], "alpha", within=_LARGEST_ANGLE),
                 *_pixels(place, tokens[6:10]),
-                *_geometry(place, tokens[10:17]),
-                place.number(tokens[17], "score", within=_LARGEST_SCORE) if scored else 0.0,
+                *(_solid_or_flat(place, tokens) if scored else _geometry(place, tokens[10:17])),
+                place.number(tokens[17], "score", within=_LARGEST_SCORE) if tokens[17:] else 1.0,
             ]
         )
     return _table(named, numbers, regions, scored=scored)
@@ -176,9 +194,9 @@ def read_detections(path: Path, kind: str | None) -> KittiObjects:
     numbers: list[list[float]] = []
     for place, tokens in text_rows(path, ","):
         _check_columns(place, tokens, 15)
-        frame = place.integer(tokens[0], "frame", at_least=0, at_most=LONGEST - 1)
+        frame = place.whole(tokens[0], "frame", at_least=0, at_most=LONGEST - 1)
         place = Place(path, frame=frame, rows=place.rows)
-        number = place.integer(tokens[1], "class")
+        number = place.whole(tokens[1], "class")
         found = _DETECTED_TYPES.get(number)
         if found is None or (kind is not None and found != kind):
             wanted = [key for key, name in _DETECTED_TYPES.items() if kind in (None, name)]
@@ -369,16 +387,19 @@ def to_sensor(points: FloatArray) -> FloatArray:
     return points @ _SENSOR_FROM_CAMERA.T
 
 
-def _check_columns(place: Place, tokens: Sequence[str], columns: int) -> None:
-    if len(tokens) != columns:
-        raise place.error("a line of the wrong length", expected=columns, got=len(tokens))
+def _check_columns(place: Place, tokens: Sequence[str], *columns: int) -> None:
+    if len(tokens) not in columns:
+        expected = " or ".join(map(str, columns))
+        raise place.error("a line of the wrong length", expected=expected, got=len(tokens))
 
 
-def _check_type(place: Place, kind: str) -> None:
-    if kind not in TYPES:
+def _known_type(place: Place, token: str) -> str:
+    kind = _TYPE_OF.get(token.lower())
+    if kind is None:
         raise place.error(
-            "an unknown class", field="type", got=kind, hint=nearest_hint(kind, TYPES)
+            "an unknown class", field="type", got=token, hint=nearest_hint(token, TYPES)
         )
+    return kind
 
 
 def _pixels(place: Place, tokens: Sequence[str]) -> list[float]:
@@ -402,6 +423,22 @@ def _geometry(place: Place, tokens: Sequence[str]) -> list[float]:
         place.number(token, name) for token, name in zip(tokens[3:6], ("x", "y", "z"), strict=True)
     )
     return [length, width, height, x, y, z, _angle(place, tokens[6])]
+
+
+def _solid_or_flat(place: Place, tokens: Sequence[str]) -> list[float]:
+    """The geometry of a result, or zeros where fillers stand in its place."""
+    sides = [
+        place.number(token, name)
+        for token, name in zip(tokens[10:13], ("height", "width", "length"), strict=True)
+    ]
+    if any(side not in (-1.0, 0.0) for side in sides):
+        return _geometry(place, tokens[10:17])
+    box = [float(token) for token in tokens[6:10]]
+    if box[:2] == box[2:]:
+        raise place.error(
+            "neither an image box nor a 3D box", field="height", expected="above 0", got=sides[0]
+        )
+    return [0.0] * 7
 
 
 def _angle(place: Place, token: str) -> float:
@@ -429,6 +466,7 @@ def _table(
         size=number[:, 7:10],
         bottom=number[:, 10:13],
         rotation_y=number[:, 13],
+        solid=number[:, 7:10].min(axis=1, initial=np.inf) > 0,
         score=number[:, 14] if scored else None,
         dont_care_frame=region[:, 0].astype(np.int64),
         dont_care_box=region[:, 1:],

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from pmbm.datasets.files import Place, prepare_folder, safe_name
+from pmbm.datasets.files import Place, prepare_folder, result_file, safe_name
 from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
     Box,
@@ -123,7 +123,8 @@ class NuScenes:
         return path
 
     def read(self, sequence: str, folder: Path) -> TrackSequence:
-        """The tracks of `folder`/SCENE.json in the map's frame, one report for every sample.
+        """The tracks of `folder`/SCENE.json (or of a file for all scenes, in `folder` or in its
+        place) in the map's frame, one report for every sample.
 
         Raises InputError for missing samples."""
         tokens, timeline = self._frames(sequence)
@@ -177,7 +178,8 @@ class NuScenes:
 
     def _results(self, sequence: str, tokens: Sequence[str], folder: Path) -> list[list[Box]]:
         name = safe_name(sequence, Place(Path(folder)), "sequences")
-        return read_results(Path(folder) / f"{name}.json", tokens, "tracking", named=True)
+        path = result_file(Path(folder), f"{name}.json", self.sequences)
+        return read_results(path, tokens, "tracking", named=True)
 
 
 def _row(box: Box, token: str) -> dict[str, Any]:

@@ -13,13 +13,14 @@ import numpy as np
 from pmbm.datasets.files import (
     LARGEST_SIZE,
     Place,
-    json_integer,
+    id_value,
+    integer_value,
     json_key,
     json_list,
     json_object,
-    json_text,
     json_vector,
     read_json,
+    text_value,
 )
 from pmbm.datasets.logs import Box, Timeline, each_name_once
 from pmbm.datasets.poses import Pose, matrix_yaw, pose, quaternion_matrix
@@ -50,6 +51,23 @@ _CATEGORIES: Final = {
     "human.pedestrian.police_officer": "pedestrian",
 }
 _RACK: Final = "static_object.bicycle_rack"
+_NOT_TRACKED: Final = frozenset(
+    {
+        "animal",
+        "human.pedestrian.personal_mobility",
+        "human.pedestrian.stroller",
+        "human.pedestrian.wheelchair",
+        "movable_object.barrier",
+        "movable_object.debris",
+        "movable_object.pushable_pullable",
+        "movable_object.trafficcone",
+        "vehicle.construction",
+        "vehicle.emergency.ambulance",
+        "vehicle.emergency.police",
+        _RACK,
+    }
+)
+"""The dataset's categories of boxes that belong to none of the classes."""
 RANGE: Final = {"car": 50.0, "truck": 50.0, "bus": 50.0, "trailer": 50.0} | dict.fromkeys(
     ("motorcycle", "bicycle", "pedestrian"), 40.0
 )
@@ -70,7 +88,7 @@ class Tables:
     def scenes(self) -> dict[str, tuple[Place, Mapping[str, Any]]]:
         found: dict[str, tuple[Place, Mapping[str, Any]]] = {}
         for place, record in self._table("scene").values():
-            name = json_text(json_key(record, "name", place), place, "name")
+            name = text_value(json_key(record, "name", place), place, "name")
             if name in found:
                 raise place.error("two scenes of one name", field="name", got=name)
             found[name] = (place, record)
@@ -93,10 +111,10 @@ class Tables:
             sensor_place, sensor = self._at(sensors, mount, "sensor_token", where)
             if json_key(sensor, "channel", sensor_place) != "LIDAR_TOP":
                 continue
-            token = json_text(json_key(record, "sample_token", place), place, "sample_token")
+            token = text_value(json_key(record, "sample_token", place), place, "sample_token")
             if token in found:
                 raise place.error("two lidar key frames of one sample", field="sample_token")
-            found[token] = json_text(
+            found[token] = text_value(
                 json_key(record, "ego_pose_token", place), place, "ego_pose_token"
             )
         return found
@@ -111,12 +129,17 @@ class Tables:
         instances, categories = self._table("instance"), self._table("category")
         found: dict[str, list[tuple[Place, Mapping[str, Any], str]]] = {}
         for place, record in self._table("sample_annotation").values():
-            token = json_text(json_key(record, "sample_token", place), place, "sample_token")
+            token = text_value(json_key(record, "sample_token", place), place, "sample_token")
             if token not in self.samples:
                 raise place.error("no such sample", field="sample_token", got=token)
             where, instance = self._at(instances, record, "instance_token", place)
             kind_place, kind = self._at(categories, instance, "category_token", where)
-            name = json_text(json_key(kind, "name", kind_place), kind_place, "name")
+            name = text_value(json_key(kind, "name", kind_place), kind_place, "name")
+            if name not in _CATEGORIES and name not in _NOT_TRACKED:
+                raise kind_place.error(
+                    "an unknown category", field="name", got=name,
+                    hint=nearest_hint(name, (*_CATEGORIES, *_NOT_TRACKED), "category"),
+                )  # fmt: skip
             found.setdefault(token, []).append((place, record, name))
         return found
 
@@ -129,8 +152,8 @@ class Tables:
                 hint=nearest_hint(scene, self.scenes, "scene"),
             )
         place, record = self.scenes[scene]
-        expected = json_integer(json_key(record, "nbr_samples", place), place, "nbr_samples")
-        token = json_text(
+        expected = integer_value(json_key(record, "nbr_samples", place), place, "nbr_samples")
+        token = text_value(
             json_key(record, "first_sample_token", place), place, "first_sample_token"
         )
         tokens: list[str] = []
@@ -141,7 +164,7 @@ class Tables:
             where = Place(where.file, frame=token, rows=where.rows)
             if len(tokens) >= expected:
                 raise where.error("more samples than the scene has", expected=expected)
-            stamp = json_integer(json_key(sample, "timestamp", where), where, "timestamp")
+            stamp = integer_value(json_key(sample, "timestamp", where), where, "timestamp")
             if stamps and stamp <= stamps[-1]:
                 raise where.error(
                     "times must increase", field="timestamp", expected=f"above {stamps[-1]}",
@@ -151,7 +174,7 @@ class Tables:
             stamps.append(stamp)
             poses.append(self._pose(token, where))
             following = json_key(sample, "next", where)
-            token = json_text(following, where, "next") if following != "" else ""
+            token = text_value(following, where, "next") if following != "" else ""
         if len(tokens) != expected:
             raise place.error(
                 "fewer samples than the scene has", field="nbr_samples", expected=expected,
@@ -170,7 +193,7 @@ class Tables:
             name = str(record["instance_token"])
             box = _read_box(record, kind, name, Place(place.file, token, name, place.rows))
             points = sum(
-                json_integer(json_key(record, field, place), place, field)
+                integer_value(json_key(record, field, place), place, field)
                 for field in ("num_lidar_pts", "num_radar_pts")
             )
             level = json_key(record, "visibility_token", place)
@@ -212,7 +235,7 @@ class Tables:
         for row, item in enumerate(json_list(read_json(path), Place(path))):
             place = Place(path, rows=(row,))
             record = json_object(item, place)
-            token = json_text(json_key(record, "token", place), place, "token")
+            token = text_value(json_key(record, "token", place), place, "token")
             if token in found:
                 raise place.error("two records of one token", field="token", got=token)
             found[token] = (place, record)
@@ -225,7 +248,7 @@ class Tables:
         field: str,
         place: Place,
     ) -> tuple[Place, Mapping[str, Any]]:
-        token = json_text(json_key(record, field, place), place, field)
+        token = text_value(json_key(record, field, place), place, field)
         return self._record(table, token, place, field)
 
     def _record(
@@ -283,9 +306,9 @@ def _result_boxes(
             )
         name = ""
         if named:
-            name = json_text(json_key(record, "tracking_id", place), place, "tracking_id")
+            name = id_value(json_key(record, "tracking_id", place), place, "tracking_id")
             place = Place(path, token, name, (row,))
-        kind = json_text(json_key(record, f"{prefix}_name", place), place, f"{prefix}_name")
+        kind = text_value(json_key(record, f"{prefix}_name", place), place, f"{prefix}_name")
         if kind in _OTHER_DETECTIONS and not named:
             continue
         if kind not in LABELS:

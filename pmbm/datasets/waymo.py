@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pmbm.datasets.files import Place, prepare_folder, safe_name
+from pmbm.datasets.files import Place, prepare_folder, result_file, safe_name
 from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
     Box,
@@ -62,7 +62,9 @@ class Waymo:
     detections : a metrics.Objects file with the detections of all segments; None for none.
     classes : of VEHICLE, PEDESTRIAN, CYCLIST, SIGN.
 
-    Results are metrics.Objects files, one a segment; `submit` joins them.
+    Truth of `lidar_box` in which the lidar has no point is not observable, and not considered in
+    scoring; a metrics.Objects file is taken as it is, as the official tool takes it.  Results are
+    metrics.Objects files, one a segment, which `submit` joins, or one file for all segments.
     """
 
     root: Path
@@ -140,14 +142,19 @@ class Waymo:
         return path
 
     def read(self, sequence: str, folder: Path) -> TrackSequence:
-        """The tracks of `folder`/SEGMENT.bin in the world, one report for every frame."""
+        """The tracks of `folder`/SEGMENT.bin (or of a file for all segments, in `folder` or in its
+        place) in the world, one report for every frame."""
         timeline = self._known_timeline(sequence)
         path = self._result_path(sequence, folder)
         return log_tracks(timeline, _frames(self._results(path, sequence), timeline, path), _LABELS)
 
     def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
-        """Labels and results of one class in the vehicle's frame."""
-        labelled = self._truth(sequence)
+        """Labels and results of one class in the vehicle's frame, without labels that are not
+        observable."""
+        labelled = {
+            stamp: [box for box in boxes if box.observable]
+            for stamp, boxes in self._truth(sequence).items()
+        }
         path = self._result_path(sequence, folder)
         results = self._results(path, sequence)
         timeline = self._timeline(sequence, labelled, results if self.root.is_file() else None)
@@ -162,14 +169,17 @@ class Waymo:
     def submit(self, sequences: Sequence[str], out: Path, *, method: str, account: str) -> Path:
         """Join the results of these segments into `out`/submission.bin, a Submission message.
 
-        method : at most 25 characters.  Raises InputError where a segment has no result.
+        method : at most 25 characters.  Raises InputError where a segment has no result, or a bad
+        one.
         """
         if not 0 < len(method) <= 25:
             raise InputError("Waymo: a method's name", expected="1 to 25 characters", got=method)
         objects: list[Any] = []
         for sequence in sequences:
             path = self._result_path(sequence, out)
-            objects += decoded(path).get("objects", [])
+            self._results(path, sequence)
+            found = decoded(path).get("objects", [])
+            objects += [one for one in found if one["context_name"] == sequence]
         submission = {
             "task": _TRACKING_3D,
             "unique_method_name": method,
@@ -192,11 +202,15 @@ class Waymo:
         return _segment(read_objects(path), sequence, path)
 
     def _result_path(self, sequence: str, folder: Path) -> Path:
-        return Path(folder) / f"{safe_name(sequence, Place(Path(folder)), 'sequences')}.bin"
+        name = safe_name(sequence, Place(Path(folder)), "sequences")
+        return result_file(Path(folder), f"{name}.bin", self.sequences)
 
     def _results(self, path: Path, sequence: str) -> Found:
-        """A segment without any track is an empty file, which is a right message."""
+        """The boxes of a segment.  Without any track its own file is empty, which is a right
+        message; in a file for all segments it has to have one."""
         found = read_objects(path, named=True)
+        if path.stem != sequence:
+            return _segment(found, sequence, path)
         for other in found:
             if other != sequence:
                 raise Place(path).error(

@@ -6,8 +6,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from pmbm.datasets.columns import integer, numbers, read_columns, text
-from pmbm.datasets.files import LARGEST_SIZE, Place, read_bytes
+from pmbm.datasets.columns import numbers, read_columns
+from pmbm.datasets.files import (
+    LARGEST_SIZE,
+    Place,
+    id_value,
+    integer_value,
+    read_bytes,
+    text_value,
+)
 from pmbm.datasets.logs import Box, each_name_once
 from pmbm.datasets.poses import Pose, pose
 from pmbm.datasets.wire import WireError, decode, message, numbered, repeated
@@ -41,6 +48,7 @@ _OBJECT: Final = numbered(
 )
 OBJECTS: Final = numbered(objects=(1, message("objects", _OBJECT, repeated=True)))
 """metrics.Objects, without its no-label zones."""
+_INFERENCE_RESULTS: Final = numbered(inference_results=(11, message("inference_results", OBJECTS)))
 SUBMISSION: Final = numbered(
     task=(1, "int"),
     unique_method_name=(2, "string"),
@@ -59,6 +67,7 @@ _V2_PLACE: Final = tuple(f"{_V2}box.center.{axis}" for axis in "xyz")
 _V2_SIZE: Final = tuple(f"{_V2}box.size.{axis}" for axis in "xyz")
 _V2_HEADING: Final = f"{_V2}box.heading"
 _V2_TYPE: Final = f"{_V2}type"
+_V2_POINTS: Final = f"{_V2}num_lidar_points_in_box"
 _V2_LEVEL: Final = f"{_V2}difficulty_level.tracking"
 _V2_POSE: Final = "[VehiclePoseComponent].world_from_vehicle.transform"
 _CONTEXT: Final = "key.segment_context_name"
@@ -70,9 +79,13 @@ Found = dict[int, list[Box]]
 
 
 def decoded(path: Path) -> dict[str, Any]:
-    """The metrics.Objects message of a file; InputError where it is none."""
+    """The metrics.Objects message of a file, or that inside a Submission message; InputError where
+    it is neither."""
+    content = read_bytes(path)
     try:
-        return decode(read_bytes(path), OBJECTS)
+        # Passed over where it is no field of the message: metrics.Objects has none of its number.
+        inside = decode(content, _INFERENCE_RESULTS).get("inference_results")
+        return decode(content, OBJECTS) if inside is None else inside
     except WireError as error:
         raise InputError(
             f"not a metrics.Objects message: {error}", file=path, field=error.path
@@ -140,26 +153,28 @@ def _score(value: float, place: Place) -> float:
 
 
 def read_v2_boxes(path: Path, sequence: str) -> Found:
-    """A `lidar_box` table of one segment; errors as in `read_objects`."""
+    """A `lidar_box` table of one segment, in which boxes without a lidar point are not observable;
+    errors as in `read_objects`."""
     table = read_columns(
         path,
         (_CONTEXT, _STAMP, _OBJECT_ID, *_V2_PLACE, *_V2_SIZE, _V2_HEADING, _V2_TYPE),
-        optional=(_V2_LEVEL,),
+        optional=(_V2_LEVEL, _V2_POINTS),
         parquet=True,
     )
     found: Found = {}
     for stamp, row, values in _rows_of(table.rows(), path, sequence):
-        name = text(values[_OBJECT_ID], Place(path, stamp, rows=(row,)), _OBJECT_ID)
+        name = id_value(values[_OBJECT_ID], Place(path, stamp, rows=(row,)), _OBJECT_ID)
         place = Place(path, stamp, name, (row,))
         x, y, z = numbers(values, _V2_PLACE, place)
         length, width, height = numbers(values, _V2_SIZE, place, above=0.0, within=LARGEST_SIZE)
         (heading,) = numbers(values, (_V2_HEADING,), place, within=_LARGEST_ANGLE)
         box = Box(
-            kind=_kind(integer(values[_V2_TYPE], place, _V2_TYPE), place, _V2_TYPE),
+            kind=_kind(integer_value(values[_V2_TYPE], place, _V2_TYPE), place, _V2_TYPE),
             name=name,
             place=(x, y, z),
             size=(length, width, height),
             yaw=heading,
+            observable=integer_value(values.get(_V2_POINTS, 1), place, _V2_POINTS) > 0,
             hard=values.get(_V2_LEVEL) == _LEVEL_2,
         )
         found.setdefault(stamp, []).append(box)
@@ -195,9 +210,9 @@ def _rows_of(
     """Stamp, row number and row; InputError for rows of another segment."""
     for row, values in rows:
         place = Place(path, rows=(row,))
-        context = text(values[_CONTEXT], place, _CONTEXT)
+        context = text_value(values[_CONTEXT], place, _CONTEXT)
         if context != sequence:
             raise place.error(
                 "a row of another segment", field=_CONTEXT, expected=sequence, got=context
             )
-        yield integer(values[_STAMP], place, _STAMP), row, values
+        yield integer_value(values[_STAMP], place, _STAMP), row, values

@@ -112,7 +112,7 @@ def load_baseline(file: Path, accept: str = "") -> StoredBaseline:
     Raises BaselineMismatch where there is none, InputError where it cannot be read.
     """
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise BaselineMismatch(
             "no stored baseline", file=file, hint=f"store one: {accept}" if accept else None

@@ -185,7 +185,7 @@ def _beside(name: str, file: Path) -> str:
 
 def _document(file: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"cannot read it: {error.strerror}", file=file) from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

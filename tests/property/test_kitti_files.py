@@ -55,6 +55,7 @@ def load(root, name):
     return source.recording("0000")
 
 
+@pytest.mark.filterwarnings("ignore::pmbm.errors.InputWarning")
 @pytest.mark.parametrize("name", FILES)
 @given(data=st.data())
 def test_one_named_error_or_the_right_result(folder, name, data):

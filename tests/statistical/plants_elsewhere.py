@@ -120,4 +120,28 @@ OTHER_PLANTS = [
         by="tests/unit/test_filter_inspection.py::test_a_life_from_birth_through_a_shadow_to_its_end",
         tests=("tests/unit/test_filter_inspection.py",),
     ),
+    Plant(
+        "half an overlap in doubles is not enough for ignored truth",
+        "pmbm/metrics/trackeval.py",
+        "near = np.flatnonzero(_similar_enough(self.similarity, least))",
+        "near = np.flatnonzero(self.similarity >= least)",
+        by="tests/unit/test_right_values.py::test_half_an_overlap_is_enough_for_ignored_truth[decimal]",
+        tests=("tests/unit/test_right_values.py", "tests/oracle/test_kitti_peer.py"),
+    ),
+    Plant(
+        "a filler read as an image box",
+        "pmbm/datasets/kitti.py",
+        "box[row] = 0.0 if shown is None else shown",
+        "box[row] = 0.0",
+        by="tests/unit/test_right_values.py::TestKittiWithoutImageBoxes::test_a_fit_sees_the_clutter",
+        tests=("tests/unit/test_right_values.py",),
+    ),
+    Plant(
+        "labels that nobody could see are scored",
+        "pmbm/datasets/waymo_files.py",
+        "observable=integer_value(values.get(_V2_POINTS, 1), place, _V2_POINTS) > 0",
+        "observable=integer_value(values.get(_V2_POINTS, 1), place, _V2_POINTS) >= 0",
+        by="tests/unit/test_right_values.py::TestWaymoWithoutPoints::test_is_not_considered",
+        tests=("tests/unit/test_right_values.py",),
+    ),
 ]

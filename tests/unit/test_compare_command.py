@@ -79,7 +79,7 @@ def folder(tmp_path):
     row = (SAMPLE / "detections_ab3dmot" / "0000.txt").read_text().splitlines()[0].split(",")
     (root / "dets").mkdir()
     rows = [",".join([str(k), "2", *row[2:]]) for k in range(8)]
-    (root / "dets" / "0000.txt").write_text("\n".join(rows))
+    (root / "dets" / "0000.txt").write_text("\n".join(rows) + "\n")
     return root
 
 
@@ -115,7 +115,9 @@ def test_without_origins_no_object_is_the_clairvoyants(folder, capsys):
     """Detections that overlap no label start no track, however long they last."""
     dets = folder / "dets" / "0000.txt"
     rows = [line.split(",") for line in dets.read_text().splitlines()]
-    dets.write_text("\n".join(",".join([*r[:10], str(float(r[10]) + 9), *r[11:]]) for r in rows))
+    dets.write_text(
+        "".join(",".join([*r[:10], str(float(r[10]) + 9), *r[11:]]) + "\n" for r in rows)
+    )
     assert compare(folder, "--trackers", "clairvoyant", "--json", "-") == 0
     found = json.loads(capsys.readouterr().out)["compared"]["Car"]["scores"]["clairvoyant"]
     assert (found["FP"], found["FN"]) == (0, found["GT"])

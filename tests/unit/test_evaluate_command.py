@@ -45,8 +45,8 @@ def folder(tmp_path):
 
 
 def write(folder, truth, results):
-    (folder / "kitti" / "label_02" / "0000.txt").write_text("\n".join(truth))
-    (folder / "results" / "0000.txt").write_text("\n".join(results))
+    for place, lines in (("kitti/label_02", truth), ("results", results)):
+        (folder / place / "0000.txt").write_text("".join(f"{line}\n" for line in lines))
     return folder / "kitti", folder / "results"
 
 

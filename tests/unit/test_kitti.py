@@ -112,9 +112,9 @@ def write_random(root, rng, frames=6, tilt=0.0, decimals=15):
             code = {"Car": 2, "Pedestrian": 1, "Cyclist": 3}[kind]
             numbers = numbers.replace(" ", ",")
             detections.append(f"{k},{code},{box.replace(' ', ',')},{i - 1.5},{numbers},0.1")
-    (root / "label_02" / "0000.txt").write_text("\n".join(labels))
-    (root / "detections" / "0000.txt").write_text("\n".join(detections))
-    (root / "pose" / "0000.txt").write_text("\n".join(poses))
+    (root / "label_02" / "0000.txt").write_text("\n".join(labels) + "\n")
+    (root / "detections" / "0000.txt").write_text("\n".join(detections) + "\n")
+    (root / "pose" / "0000.txt").write_text("\n".join(poses) + "\n")
 
 
 def as_tracks(made):
@@ -260,7 +260,7 @@ def test_what_the_rules_ignore_is_not_observable(folder):
         "0 5 Truck 0 0 0 1 1 2 2 1 1 1 0 1 60 0",
         "0 6 Person 0 0 0 1 1 2 2 1 1 1 0 1 70 0",
     ]
-    path.write_text("\n".join(rows))
+    path.write_text("\n".join(rows) + "\n")
     truth = dataset(folder).recording("0000").truth[0]
     assert truth.observable.tolist() == [False, False, False, True, False]
     assert truth.visibility.tolist() == [1.0, 0.0, 1.0, 0.25, 1.0]
@@ -297,14 +297,14 @@ def test_missing_things_fail_closed(folder, spoil, message):
         ("0 1 Car 0 0 0 3 1 2 2 1 1 1 0 1 20 0", "image box without inside"),
         ("0 1 Car 0 0 0 1 1 2 2 1 1 1 0 1 20", "wrong length.*rows 1.*expected 17, got 16"),
         ("0 -1 Car 0 0 0 1 1 2 2 1 1 1 0 1 20 0", "track_id.*at least 0"),
-        ("0.0 1 Car 0 0 0 1 1 2 2 1 1 1 0 1 20 0", "not an integer.*frame"),
+        ("0.5 1 Car 0 0 0 1 1 2 2 1 1 1 0 1 20 0", "not an integer.*frame"),
         ("1_0 1 Car 0 0 0 1 1 2 2 1 1 1 0 1 20 0", "not an integer.*frame"),
         ("\n".join(2 * ["2 7 Car 0 0 0 1 1 2 2 1 1 1 0 1 20 0"]), "same id.*frame 2, object 7"),
         ("9 1 Car 0 0 0 1 1 2 2 1 1 1 0 1 20 0", "without a pose.*frame 9"),
     ],
 )
 def test_bad_labels_are_named(folder, row, message):
-    (folder / "label_02" / "0000.txt").write_text(row)
+    (folder / "label_02" / "0000.txt").write_text(row + "\n")
     with pytest.raises(InputError, match=message):
         dataset(folder).recording("0000")
 

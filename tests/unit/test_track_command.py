@@ -25,7 +25,7 @@ def folder(tmp_path):
         (root / f"dets_{kind}").mkdir()
         for name in ("0000", "0001"):
             lines = [",".join([str(k), code, *row[2:]]) for k in range(8)]
-            (root / f"dets_{kind}" / f"{name}.txt").write_text("\n".join(lines))
+            (root / f"dets_{kind}" / f"{name}.txt").write_text("\n".join(lines) + "\n")
     (root / "pose").mkdir()
     for name in ("0000", "0001"):
         (root / "pose" / f"{name}.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 8)
@@ -140,7 +140,7 @@ def test_batch_fills_what_online_had_not_reported_yet(folder):
         for kind in ("Car", "Cyclist"):
             path = folder / f"dets_{kind}" / f"{name}.txt"
             lines = path.read_text().splitlines()
-            path.write_text("\n".join(lines[:5] + lines[6:]))
+            path.write_text("\n".join(lines[:5] + lines[6:]) + "\n")
     config = folder / "config.toml"
     config.write_text("clutter_rate = 40\nbirth_rate = 0.2\ninitial_objects = 0.2\n")
     frames = {}

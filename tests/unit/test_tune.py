@@ -332,7 +332,7 @@ def folder(tmp_path):
     row = (SAMPLE / "detections_ab3dmot" / "0000.txt").read_text().splitlines()[0].split(",")
     (root / "dets").mkdir()
     rows = [",".join([str(k), "2", *row[2:]]) for k in range(8)]
-    (root / "dets" / "0000.txt").write_text("\n".join(rows))
+    (root / "dets" / "0000.txt").write_text("\n".join(rows) + "\n")
     return root
 
 
