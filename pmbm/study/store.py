@@ -1,8 +1,9 @@
 """The store of a study: one SQLite file that survives kills, full disks and flipped bits.
 
-One row a trial, written in one transaction each (write-ahead log, synchronous FULL).  SQLite does
-not notice most flipped bits, so every row carries a hash of its content: a row whose hash does not
-fit is named and run again, never reported.
+One row a trial, written in one transaction each (write-ahead log, synchronous FULL).  The file has
+its tables before there is a log, and takes in the log every few trials, so that the file alone is a
+store.  SQLite does not notice most flipped bits, so every row carries a hash of its content: a row
+whose hash does not fit is named and run again, never reported.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ CREATE TABLE trial (
 );
 CREATE TABLE in_flight (id INTEGER PRIMARY KEY, deaths INTEGER NOT NULL)
 """
+_CHECKPOINT_EVERY = 8
+"""Trials after which the file takes in the log."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,8 @@ class Store:
         self._connection = connection
         self._file = file
         self._study = study
+        self._identity = _identity(file)
+        self._finished = 0
 
     @property
     def contents(self) -> Contents:
@@ -131,6 +136,10 @@ class Store:
             )
             self._run("DELETE FROM in_flight WHERE id = ?", (row.index,))
             self._note(start)
+        self._finished += 1
+        if self._finished % _CHECKPOINT_EVERY == 0:
+            self._run("PRAGMA wal_checkpoint")
+        self._check_unmoved()
 
     def died(self, index: int) -> int:
         """Note that a trial, alone in its process, took the process with it; how often by now."""
@@ -142,11 +151,27 @@ class Store:
         """Note that nothing is in flight: the driver stops in order."""
         with self._transaction():
             self._run("DELETE FROM in_flight")
+        self._check_unmoved()
 
     def in_flight(self) -> list[tuple[int, int]]:
         """Trials that were in flight when the last driver died, and their deaths alone."""
         found = self._run("SELECT id, deaths FROM in_flight ORDER BY id")
         return [(int(index), int(deaths)) for index, deaths in found]
+
+    def _check_unmoved(self) -> None:
+        """Raise InputError where the file is no longer where it was: closing would leave the last
+        trials in a log that nothing finds again."""
+        if _identity(self._file) == self._identity:
+            return
+        log = _log(self._file)
+        busy, *_ = self._run("PRAGMA wal_checkpoint(TRUNCATE)")[0]
+        if busy:
+            hint = f"move {log} too, to the store's new name with -wal, and resume with --store"
+        else:
+            hint = f"it holds what is done: resume with --store; {log} is empty and may go"
+        raise InputError(
+            "the store was moved or deleted while the study runs", file=self._file, hint=hint
+        )
 
     def _note(self, indices: Iterable[int]) -> None:
         for index in indices:
@@ -176,13 +201,20 @@ def open_store(file: Path, study: Study) -> Iterator[Store]:
     version of the code, and where it cannot be read or written.
     """
     with _only_driver(file):
+        log = _log(file)
+        if _identity(file) is None and log.exists() and log.stat().st_size:
+            raise InputError(
+                "the store is gone, and its last trials are here without it",
+                file=log,
+                hint=f"move the store back to {file}, or remove this file to begin anew",
+            )
         with _named(file):
             connection = sqlite3.connect(file, isolation_level=None)
         try:
             with _named(file, "take another --store, or remove it"):
-                execute(connection, "PRAGMA journal_mode = WAL")
                 execute(connection, "PRAGMA synchronous = FULL")
                 _prepare(connection, file, study)
+                execute(connection, "PRAGMA journal_mode = WAL")
             yield Store(connection, file, study)
         finally:
             connection.close()
@@ -216,11 +248,25 @@ def _reader(file: Path) -> sqlite3.Connection:
     except sqlite3.OperationalError:
         # In a folder that cannot be written to, SQLite reads only what it is told nobody writes.
         connection.close()
-        log = Path(f"{file}-wal")
+        log = _log(file)
         if log.exists() and log.stat().st_size:
             raise
         connection = sqlite3.connect(f"{address}&immutable=1", uri=True, isolation_level=None)
     return connection
+
+
+def _log(file: Path) -> Path:
+    """Where SQLite keeps what the file has not taken in yet."""
+    return Path(f"{file}-wal")
+
+
+def _identity(file: Path) -> tuple[int, int] | None:
+    """Which file is there; None where there is none."""
+    try:
+        found = file.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _quoted(file: Path) -> str:
@@ -232,6 +278,8 @@ def _quoted(file: Path) -> str:
 def _prepare(connection: sqlite3.Connection, file: Path, study: Study) -> None:
     about = canonical({"name": study.name, "trials": study.trials, "provenance": provenance()})
     if not execute(connection, "SELECT 1 FROM sqlite_master"):
+        if file.stat().st_size:
+            raise _without_tables(file)
         execute(connection, "BEGIN IMMEDIATE")
         for statement in _TABLES.split(";"):
             execute(connection, statement)
@@ -251,7 +299,17 @@ def _prepare(connection: sqlite3.Connection, file: Path, study: Study) -> None:
     execute(connection, "UPDATE study SET about = ?", (about,))
 
 
+def _without_tables(file: Path) -> InputError:
+    return InputError(
+        "there are no tables in it",
+        file=file,
+        hint=f"a copy lacks what is in the original's -wal: copy that too, to {_log(file)}",
+    )
+
+
 def _head(connection: sqlite3.Connection, file: Path) -> tuple[str, dict[str, Any], dict[str, Any]]:
+    if not execute(connection, "SELECT 1 FROM sqlite_master"):
+        raise _without_tables(file)
     found = execute(connection, "SELECT schema, hash, document, about FROM study")
     if len(found) != 1 or found[0][0] != SCHEMA:
         raise InputError("not a store of this version", file=file)

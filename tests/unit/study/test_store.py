@@ -185,6 +185,88 @@ def test_a_full_disk_is_one_line_and_loses_nothing(study, tmp_path, monkeypatch)
     assert run_study(replace(study, trials=4), file, jobs=0).failed == 0
 
 
+def killed_after(trials, study, file):
+    """Run a study whose driver is killed with -9 once so many trials are done."""
+
+    def tell(progress):
+        if progress.done == trials:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    child = os.fork()
+    if child == 0:
+        try:
+            run_study(study, file, jobs=0, tell=tell)
+        finally:
+            os._exit(0)
+    _, status = os.waitpid(child, 0)
+    assert os.WIFSIGNALED(status)
+
+
+@pytest.mark.parametrize("trials", [0, 1, 5, 8, 21])
+def test_a_copy_without_its_log_is_a_store(study, tmp_path, trials):
+    """After a kill the file alone has its tables, and all but the last few trials."""
+    many = replace(study, trials=12)
+    file, copy = tmp_path / "killed.sqlite", tmp_path / "copy.sqlite"
+    killed_after(trials, many, file)
+    assert Path(f"{file}-wal").exists()
+    copy.write_bytes(file.read_bytes())
+    assert trials - len(read_store(copy).rows) < 8
+    assert run_study(many, copy, jobs=0).done == 24
+    assert run_study(many, file, jobs=0).done == 24
+    assert digest(copy) == digest(file)
+
+
+def test_a_store_without_tables_names_its_log(study, tmp_path):
+    """What a copy of a store was whose tables were in its log alone."""
+    file = tmp_path / "copy.sqlite"
+    connection = sqlite3.connect(file, isolation_level=None)
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.close()
+    before = file.read_bytes()
+    assert before
+    for use in (read_store, load_results, lambda f: run_study(study, f, jobs=0)):
+        with pytest.raises(InputError, match=r"no tables.*copy\.sqlite-wal"):
+            use(file)
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize("read_meanwhile", [False, True])
+def test_a_store_that_moves_while_it_runs_is_named_and_whole(study, tmp_path, read_meanwhile):
+    file, moved = tmp_path / "night.sqlite", tmp_path / "moved.sqlite"
+    readers = []
+
+    def move(progress):
+        if progress.done == 3:
+            if read_meanwhile:
+                readers.append(sqlite3.connect(f"file:{file}?mode=ro", uri=True))
+                readers[0].execute("BEGIN")
+                readers[0].execute("SELECT * FROM trial").fetchone()
+            file.rename(moved)
+
+    with pytest.raises(InputError, match=r"moved.*night\.sqlite.*--store") as refused:
+        run_study(study, file, jobs=0, tell=move)
+    log = Path(f"{file}-wal")
+    if read_meanwhile:
+        readers[0].close()
+        assert f"move {log} too" in str(refused.value)
+        log.rename(f"{moved}-wal")
+    else:
+        assert "it holds what is done" in str(refused.value)
+    assert len(read_store(moved).rows) == 4
+    assert run_study(study, moved, jobs=0).done == 8
+
+
+def test_a_log_without_its_store_is_named(study, tmp_path):
+    file = tmp_path / "night.sqlite"
+    killed_after(3, study, file)
+    file.rename(tmp_path / "moved.sqlite")
+    with pytest.raises(InputError, match=r"gone.*night\.sqlite-wal.*move the store back"):
+        run_study(study, file, jobs=0)
+    (tmp_path / "moved.sqlite").rename(file)
+    assert len(read_store(file).rows) == 3
+    assert run_study(study, file, jobs=0).done == 8
+
+
 def test_a_folder_that_cannot_be_written(study, whole, tmp_path):
     if os.geteuid() == 0:
         pytest.skip("root writes everywhere")
