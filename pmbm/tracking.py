@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import inspect
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from pmbm.errors import InputError, nearest_hint
+from pmbm.named_modules import import_named
 from pmbm.seeding import seeded
 from pmbm.types import Detections, Label, Recording, Site, Tracks, TrackSequence
 
@@ -73,7 +73,7 @@ def tracker_factory(name: str) -> TrackerFactory:
             hint=nearest_hint(name, SHIPPED_TRACKERS, "tracker"),
         )
     try:
-        factory: Any = importlib.import_module(module_name)
+        factory: Any = import_named(module_name)
         for part in attribute.split("."):
             factory = getattr(factory, part)
     except (ImportError, AttributeError) as error:

@@ -99,9 +99,6 @@ def main(arguments: list[str] | None = None) -> Any:
     """The console script: runs a command and turns what a user can get wrong into one line."""
     from pmbm.errors import InputError
 
-    # Trackers are named MODULE:FACTORY, and are looked up in the user's folder last.
-    if "" not in sys.path and os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
     try:
         _refuse_shadows()
         with _warnings_in_a_line():

@@ -297,13 +297,22 @@ def _bisect(task: _Task, interval: str) -> int:
     """Name the first commit of GOOD..BAD whose tracker fails against GOOD's."""
     from pmbm.errors import InputError
     from pmbm.regression import Entry, Verdict
-    from pmbm.regression.gitref import GitTracker, checked_out, git, repository_of
+    from pmbm.regression.gitref import (
+        GitTracker,
+        check_ref,
+        checked_out,
+        commits_of,
+        repository_of,
+        subject_of,
+    )
 
     good, dots, bad = interval.partition("..")
     if not (good and dots and bad) or bad.startswith("."):
         raise InputError("bad interval", field="--bisect", expected="GOOD..BAD", got=interval)
+    for ref in (good, bad):
+        check_ref(ref)
     top = repository_of(Path.cwd())
-    commits = git(top, "rev-list", "--reverse", interval, what=f"'{interval}'").split()
+    commits = commits_of(top, interval)
     if not commits:
         raise InputError("no commits there", field="--bisect", got=interval)
 
@@ -318,7 +327,7 @@ def _bisect(task: _Task, interval: str) -> int:
                     GitTracker(new, name, parameters),
                 )
             verdict = _run(task, entries).verdict
-        click.echo(f"{verdict:9}  {_subject(top, commit)}")
+        click.echo(f"{verdict:9}  {subject_of(top, commit)}")
         return verdict
 
     if verdict_of(commits[-1]) is not Verdict.FAIL:
@@ -331,11 +340,5 @@ def _bisect(task: _Task, interval: str) -> int:
             high = middle
         else:
             low = middle + 1
-    click.echo(f"first bad commit: {_subject(top, commits[low])}")
+    click.echo(f"first bad commit: {subject_of(top, commits[low])}")
     return 1
-
-
-def _subject(top: Path, commit: str) -> str:
-    from pmbm.regression.gitref import git
-
-    return git(top, "log", "-1", "--format=%h %s", commit, what=commit)

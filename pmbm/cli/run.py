@@ -13,7 +13,6 @@ import click
 
 if TYPE_CHECKING:
     from pmbm.study import Estimate, Source, Summary, TrialResult
-    from pmbm.tracking import TrackerFactory
     from reports.values import Section
 
 HEADLINE = (
@@ -110,6 +109,8 @@ def command(
             got=replay_trial,
         )
     factories = {name: tracker_factory(name) for name in trackers}
+    # Workers look the names up themselves, where pickled modules might be out of their reach.
+    named = {name: name for name in trackers}
     sources = [load_scenario(name) for name in scenarios]
     if level is not None:
         sources = [source.at(_level(source, level)) for source in sources]
@@ -131,10 +132,10 @@ def command(
         ]
     figures, sections = [], []
     for source in sources:
-        results = _run(source, factories, seed, trials, jobs, quiet=json_file == "-")
+        results = _run(source, named, seed, trials, jobs, quiet=json_file == "-")
         summary = summarise(results)
         figures.append(_figures(source.name, trials, seed, summary))
-        sections.append(_section(source, factories, seed, replay_trial, summary, with_maps))
+        sections.append(_section(source, named, seed, replay_trial, summary, with_maps))
         _show(source.name, summary, results, to_stderr=json_file == "-")
 
     repeat = shlex.join(["pmbm", *_arguments()])
@@ -164,7 +165,7 @@ def _level(scenario: Any, text: str) -> Any:
 
 def _run(
     source: Source,
-    factories: Mapping[str, TrackerFactory],
+    trackers: Mapping[str, str],
     seed: int,
     trials: int,
     jobs: int,
@@ -180,7 +181,7 @@ def _run(
         task = bar.add_task(source.name, total=trials)
         return run_trials(
             source,
-            factories,
+            trackers,
             seed,
             trials,
             jobs,
@@ -205,7 +206,7 @@ def _figures(name: str, trials: int, seed: int, summary: Summary) -> dict[str, A
 
 def _section(
     source: Any,
-    factories: Mapping[str, TrackerFactory],
+    trackers: Mapping[str, str],
     seed: int,
     trial: int,
     summary: Summary,
@@ -214,7 +215,7 @@ def _section(
     from reports.replays import trial_replay
     from reports.values import Section
 
-    replay, _ = trial_replay(source, factories, seed, trial, with_maps=with_maps)
+    replay, _ = trial_replay(source, trackers, seed, trial, with_maps=with_maps)
     return Section(
         name=source.name,
         stresses=source.stresses,

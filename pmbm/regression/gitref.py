@@ -18,9 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from pmbm.errors import InputError
+from pmbm.named_modules import find_named
 from pmbm.study.code import WITHOUT_EFFECT
 from pmbm.types import Detections, Site, Tracks
 
+_END = "--end-of-options"
+"""What follows is no option of git's, whatever it looks like."""
 _NATIVE_SOURCES = ("CMakeLists.txt", "pmbm/*.cpp", "pmbm/*.hpp")
 
 
@@ -62,7 +65,7 @@ class _Server:
         number = theirs.fileno()
         self._process = subprocess.Popen(
             [
-                *(sys.executable, str(script), str(number), tracker.folder, tracker.name),
+                *(sys.executable, "-P", str(script), str(number), tracker.folder, tracker.name),
                 json.dumps(dict(tracker.parameters)),
             ],
             pass_fds=[number],
@@ -120,17 +123,37 @@ def checked_out(ref: str, repository: Path | None = None) -> Iterator[str]:
 
     Raises InputError where there is no repository or no such commit.
     """
+    check_ref(ref)
     top = repository_of(repository or Path.cwd())
-    commit = git(top, "rev-parse", "--verify", "--quiet", f"{ref}^{{commit}}", what=f"'{ref}'")
+    commit = git(
+        top, "rev-parse", "--verify", "--quiet", _END, f"{ref}^{{commit}}", what=f"'{ref}'"
+    )
     with tempfile.TemporaryDirectory(prefix="pmbm-") as parent:
         folder = str(Path(parent) / commit[:12])
-        git(top, "worktree", "add", "--detach", folder, commit, what=f"a worktree of {ref}")
+        git(top, "worktree", "add", "--detach", "--", folder, commit, what=f"a worktree of {ref}")
         try:
             _share_native(top, commit, Path(folder))
             yield folder
         finally:
             close_servers(folder)
-            git(top, "worktree", "remove", "--force", folder, what=f"the worktree of {ref}")
+            git(top, "worktree", "remove", "--force", "--", folder, what=f"the worktree of {ref}")
+
+
+def check_ref(ref: str) -> None:
+    """Raise InputError where git would take a name for an option."""
+    if ref.startswith("-"):
+        raise InputError("not the name of a commit", expected="no dash in front", got=ref)
+
+
+def commits_of(top: Path, interval: str) -> list[str]:
+    """The commits of GOOD..BAD, oldest first."""
+    found = git(top, "rev-list", "--reverse", _END, interval, "--", what=f"'{interval}'")
+    return found.split()
+
+
+def subject_of(top: Path, commit: str) -> str:
+    """A commit's short name and the first line of its message."""
+    return git(top, "log", "-1", "--format=%h %s", _END, commit, "--", what=commit)
 
 
 def repository_of(folder: Path) -> Path:
@@ -167,7 +190,7 @@ def same_sources(folder: str, factory: str, repository: Path | None = None) -> b
 
 
 def _place(package: str) -> Path | None:
-    spec = importlib.util.find_spec(package)
+    spec = find_named(package)
     if spec is None or spec.origin is None:
         return None
     origin = Path(spec.origin).resolve()

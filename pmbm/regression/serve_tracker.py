@@ -75,7 +75,7 @@ def _with_seed(factory: Any, seed: int) -> Any:
 
 def _look_in(folder: str) -> None:
     """Import from `folder` before anything that is installed."""
-    sys.path[0] = folder
+    sys.path.insert(0, folder)
     if os.path.isdir(os.path.join(folder, "src")):
         sys.path.insert(0, os.path.join(folder, "src"))
     if os.path.isdir(os.path.join(folder, "pmbm")):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from pmbm.named_modules import find_named
 from pmbm.provenance import provenance
 
 WITHOUT_EFFECT = ("cli", "regression", "testing.py", "pytest_plugin.py", "tune.py", "tune")
@@ -42,7 +42,7 @@ def _digest(package: str) -> str | None:
 
 def _sources(package: str) -> Iterator[tuple[str, Path]]:
     loaded = sys.modules.get(package)
-    spec = loaded.__spec__ if loaded is not None else importlib.util.find_spec(package)
+    spec = loaded.__spec__ if loaded is not None else find_named(package)
     if spec is None:
         return
     if spec.origin is None or not Path(spec.origin).is_file():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from typing import Any
@@ -22,17 +23,51 @@ _THREAD_COUNTS = (
     "VECLIB_MAXIMUM_THREADS",
     "NUMEXPR_NUM_THREADS",
 )
-ONE_THREAD = dict.fromkeys(_THREAD_COUNTS, "1")
-"""The environment of a worker: one process a core, and sums in one order."""
+_SAFE_PATH = "PYTHONSAFEPATH"
+WORKER_ENVIRONMENT = {**dict.fromkeys(_THREAD_COUNTS, "1"), _SAFE_PATH: "1"}
+"""Of a worker: one process a core, sums in one order, and no import from the current folder."""
 
 
-def process_pool(jobs: int, **options: Any) -> Executor:
+def process_pool(
+    jobs: int, initializer: Callable[..., None] | None = None, initargs: tuple[Any, ...] = ()
+) -> Executor:
     """A pool of `jobs` fresh processes (loky's: spawned, so nothing leaks in from the parent),
     each with one BLAS thread."""
     from loky import ProcessPoolExecutor
 
-    pool: Executor = ProcessPoolExecutor(max_workers=jobs, env=dict(ONE_THREAD), **options)
+    _start_resource_trackers()
+    pool: Executor = ProcessPoolExecutor(
+        max_workers=jobs,
+        env=dict(WORKER_ENVIRONMENT),
+        initializer=_begin,
+        initargs=(initializer, *initargs),
+    )
     return pool
+
+
+def _start_resource_trackers() -> None:
+    """Start the processes that clean up after workers, which would look for modules in the current
+    folder first."""
+    from multiprocessing import resource_tracker as of_python
+
+    from loky.backend import resource_tracker as of_loky
+
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        of_python.ensure_running()
+        of_loky.ensure_running()
+    finally:
+        os.environ.pop(_SAFE_PATH)
+        if before is not None:
+            os.environ[_SAFE_PATH] = before
+
+
+def _begin(initializer: Callable[..., None] | None, *arguments: Any) -> None:
+    # It was for this process, not for programs that trackers start.
+    os.environ.pop(_SAFE_PATH, None)
+    if initializer is not None:
+        initializer(*arguments)
 
 
 def run_trials(

@@ -21,7 +21,7 @@ LAYERS = [
     }
     | {"pmbm.provenance", "pmbm.compiled", "pmbm.seeding"},
     {"pmbm.assignment", "pmbm.filter", "pmbm.baselines", "pmbm.metrics", "pmbm.datasets"},
-    {"pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"},
+    {"pmbm.named_modules", "pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"},
     {"sim"},
     {"reports"},
     {"pmbm.testing"},

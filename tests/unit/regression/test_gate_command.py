@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -116,6 +117,9 @@ def test_pass_fail_and_undecided_are_0_1_and_3(folder, capsys):
         (["crosing", "--against", "argoverse", "--margin", "1"], "did you mean 'crossing'"),
         (["night.toml"], "no stored baseline"),
         (["night.toml", "--bisect", "HEAD"], "GOOD..BAD"),
+        (["night.toml", "--bisect=--output=stolen..HEAD"], "no dash in front"),
+        (["night.toml", "--bisect=HEAD..--output=stolen"], "no dash in front"),
+        (["night.toml", "--against=--output=stolen"], "no dash in front"),
     ],
 )
 def test_bad_input_is_one_line_and_2(folder, capsys, arguments, words):
@@ -125,6 +129,7 @@ def test_bad_input_is_one_line_and_2(folder, capsys, arguments, words):
     assert words in err
     assert err.count("\n") == 1
     assert err.startswith("pmbm: ")
+    assert not list(Path.cwd().glob("stolen*"))
 
 
 def test_reports_for_machines(folder, capsys):

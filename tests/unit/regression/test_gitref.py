@@ -11,7 +11,7 @@ from gate_worlds_small import OneCar
 
 from pmbm.errors import InputError
 from pmbm.filter import PMBMTracker
-from pmbm.regression import Entry, Rules, Verdict, gated_metric, run_gate
+from pmbm.regression import Entry, Rules, Verdict, gated_metric, gitref, run_gate
 from pmbm.regression.gitref import GitTracker, checked_out, same_sources
 from pmbm.tracking import make_tracker, run, track
 
@@ -121,9 +121,11 @@ def test_what_goes_wrong_in_the_other_process_is_told(repository):
             tracks_of(GitTracker(old, "mine_in_git:Dies"))
 
 
-@pytest.mark.parametrize("ref", ["nosuch", "-n", "c1^{tree}"])
-def test_an_unknown_commit_is_refused(repository, ref):
-    with pytest.raises(InputError, match="git knows nothing of"), checked_out(ref):
+@pytest.mark.parametrize(
+    ("ref", "words"), [("nosuch", "git knows"), ("-n", "no dash"), ("c1^{tree}", "git knows")]
+)
+def test_an_unknown_commit_is_refused(repository, ref, words):
+    with pytest.raises(InputError, match=words), checked_out(ref):
         pass
 
 
@@ -169,3 +171,25 @@ def test_this_projects_own_tracker_runs_from_a_checkout(tmp_path):
         with pytest.raises(RuntimeError, match="cannot be imported"):
             GitTracker(folder, "pmbm", (("gate", 20.0),))(recording.site)
     assert [t.id.tolist() for t in here] == [t.id.tolist() for t in there]
+
+
+def test_git_takes_no_name_for_an_option(repository, monkeypatch):
+    """Also where nobody refused it before."""
+    monkeypatch.setattr(gitref, "check_ref", lambda ref: None)
+    for name in ("--output=stolen", "--git-dir"):
+        with pytest.raises(InputError, match="git knows nothing"), checked_out(name):
+            pass
+        with pytest.raises(InputError, match="git knows nothing"):
+            gitref.commits_of(repository, f"{name}..HEAD")
+        with pytest.raises(InputError, match="git knows nothing"):
+            gitref.subject_of(repository, name)
+    assert not list(repository.glob("stolen*"))
+    assert len(gitref.commits_of(repository, "c2..c5")) == 3
+    assert gitref.subject_of(repository, "c3").endswith("step 3")
+
+
+def test_a_commit_is_meant_where_a_file_has_its_name(repository):
+    (repository / "c1").write_text("a file")
+    (repository / "c0..c2").write_text("another")
+    assert gitref.subject_of(repository, "c1").endswith("step 1")
+    assert len(gitref.commits_of(repository, "c0..c2")) == 2
