@@ -48,7 +48,7 @@ _OBJECT: Final = numbered(
 )
 OBJECTS: Final = numbered(objects=(1, message("objects", _OBJECT, repeated=True)))
 """metrics.Objects, without its no-label zones."""
-_INFERENCE_RESULTS: Final = numbered(inference_results=(11, message("inference_results", OBJECTS)))
+_INFERENCE_RESULTS: Final = (11, message("inference_results", OBJECTS))
 SUBMISSION: Final = numbered(
     task=(1, "int"),
     unique_method_name=(2, "string"),
@@ -56,7 +56,7 @@ SUBMISSION: Final = numbered(
     affiliation=(4, "string"),
     description=(5, "string"),
     method_link=(6, "string"),
-    inference_results=(11, message("inference_results", OBJECTS)),
+    inference_results=_INFERENCE_RESULTS,
     sensor_type=(12, "int"),
     account_name=(13, "string"),
     object_types=(14, repeated("object_types", "int")),
@@ -83,8 +83,9 @@ def decoded(path: Path) -> dict[str, Any]:
     it is neither."""
     content = read_bytes(path)
     try:
-        # Passed over where it is no field of the message: metrics.Objects has none of its number.
-        inside = decode(content, _INFERENCE_RESULTS).get("inference_results")
+        # metrics.Objects has no field of that number.
+        submission = decode(content, numbered(inference_results=_INFERENCE_RESULTS))
+        inside = submission.get("inference_results")
         return decode(content, OBJECTS) if inside is None else inside
     except WireError as error:
         raise InputError(

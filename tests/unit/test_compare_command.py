@@ -118,9 +118,15 @@ def test_without_origins_no_object_is_the_clairvoyants(folder, capsys):
     dets.write_text(
         "".join(",".join([*r[:10], str(float(r[10]) + 9), *r[11:]]) + "\n" for r in rows)
     )
-    assert compare(folder, "--trackers", "clairvoyant", "--json", "-") == 0
-    found = json.loads(capsys.readouterr().out)["compared"]["Car"]["scores"]["clairvoyant"]
+    page = folder / "page.md"
+    assert compare(folder, "--trackers", "clairvoyant", "--json", "-", "--markdown", page) == 0
+    car = json.loads(capsys.readouterr().out)["compared"]["Car"]
+    found = car["scores"]["clairvoyant"]
     assert (found["FP"], found["FN"]) == (0, found["GT"])
+    # Its dash is explained, in the figures and under the table.
+    assert found["MOTP"] is None
+    assert car["reasons"]["clairvoyant"]["MOTP"] == "nothing is matched"
+    assert "\nclairvoyant: no MOTP" in page.read_text()
 
 
 def test_ego_motion_needs_poses(capsys):
