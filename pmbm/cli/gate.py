@@ -13,11 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli.wording import duration
+
 if TYPE_CHECKING:
-    from pmbm.regression import GatedMetric, GateReport, Rules, wording
+    from pmbm.regression import Entry, GatedMetric, GateReport, Pilot, Rules, wording
     from pmbm.study import Cell, ConfiguredTracker, Study
 
 _EXIT = {"pass": 0, "fail": 1, "undecided": 3}
+_PILOT = 10
 
 
 @click.command()
@@ -41,6 +44,12 @@ _EXIT = {"pass": 0, "fail": 1, "undecided": 3}
     type=click.Path(path_type=Path, dir_okay=False),
     help="The stored baseline.  [default: STUDY.baseline.json]",
 )
+@click.option(
+    "--plan",
+    is_flag=True,
+    help=f"Say how many trials the margin takes at least, and, after {_PILOT} of each scenario, "
+    "how many with their spread, and the time.",
+)
 @click.option("--accept", is_flag=True, help="Store the candidate's values as the new baseline.")
 @click.option("--junit", type=click.Path(path_type=Path, dir_okay=False), help="JUnit XML.")
 @click.option("--github", is_flag=True, help="Annotations.  [default: on in GitHub Actions]")
@@ -49,6 +58,7 @@ def command(
     study_name: str,
     against: str | None,
     baseline: Path | None,
+    plan: bool,
     accept: bool,
     junit: Path | None,
     github: bool,
@@ -64,6 +74,7 @@ def command(
     Examples:
       pmbm gate night.toml --against main --jobs 4 --junit gate.xml
       pmbm gate crossing --against argoverse --metric gospa --margin 0.05
+      pmbm gate night.toml --against main --plan
       pmbm gate night.toml --accept
       pmbm gate night.toml --bisect v1.0..main
     """
@@ -71,6 +82,9 @@ def command(
     from pmbm.regression import wording
 
     task = _task(study_name, baseline, jobs, options)
+    if plan:
+        _plan(task, against)
+        return 0
     for file in (task.baseline if accept else None, junit):
         if file is not None:
             check_writable(file)
@@ -189,7 +203,17 @@ def _study(name: str, given: Mapping[str, Any]) -> Study:
 
 def _compare(task: _Task, stack: ExitStack, against: str | None) -> GateReport:
     """The gate's report against stored values, another tracker, or another commit's."""
-    from pmbm.regression import Entry, GateReport, load_baseline
+    from pmbm.regression import GateReport
+
+    entries = _entries(task, stack, against)
+    if entries is None:
+        return GateReport(task.metric, task.rules, task.study.seed, (), same_code=True)
+    return _run(task, entries)
+
+
+def _entries(task: _Task, stack: ExitStack, against: str | None) -> dict[str, Entry] | None:
+    """Each scenario with both its trackers; None where they are the same code."""
+    from pmbm.regression import Entry, load_baseline
     from pmbm.regression.gitref import GitTracker, checked_out, same_sources
     from pmbm.study import ConfiguredTracker
     from pmbm.tracking import SHIPPED_TRACKERS
@@ -209,16 +233,87 @@ def _compare(task: _Task, stack: ExitStack, against: str | None) -> GateReport:
         folder = stack.enter_context(checked_out(against))
         own = {label: task.tracker(cell) for label, cell in cells.items()}
         if all(same_sources(folder, tracker.factory) for tracker in own.values()):
-            return GateReport(task.metric, task.rules, task.study.seed, (), same_code=True)
+            return None
         baselines = {
             label: GitTracker(folder, tracker.factory, tracker.parameters)
             for label, tracker in own.items()
         }
-    entries = {
+    return {
         label: Entry(cell.source, baselines[label], task.tracker(cell))
         for label, cell in cells.items()
     }
-    return _run(task, entries)
+
+
+def _plan(task: _Task, against: str | None) -> None:
+    """Say what the gate will take: what the margin needs, then what a few trials show."""
+    from pmbm.regression import run_pilot
+    from pmbm.regression.verdicts import check_margin
+
+    rules, metric, scenarios = task.rules, task.metric, len(task.cells)
+    rules.check_range(metric.value_range)
+    click.echo(
+        f"{metric.name}: range {metric.value_range:g}, alpha {rules.alpha:g} over {scenarios} "
+        f"scenario{'s' if scenarios > 1 else ''}"
+    )
+    if rules.margin is not None:
+        share = 100 * rules.margin / metric.value_range
+        needed = _at_least(task, rules.margin)
+        click.echo(f"margin {rules.margin:g}, {share:.3g} % of the range: {needed}")
+    seconds = 0.0
+    with ExitStack() as stack:
+        entries = _entries_to_try(task, stack, against)
+        if entries is None:
+            click.echo("both trackers are the same code: a pass without a trial")
+            return
+        for label, entry in entries.items():
+            pilot = run_pilot(label, entry, metric, seed=task.study.seed, trials=_PILOT)
+            check_margin({label: pilot.pairs}, rules)
+            if rules.margin is None:
+                margin = float(rules.margins(pilot.pairs.baseline).mean())
+                click.echo(f"{label}: margin {margin:.4g}: {_at_least(task, margin)}")
+            trials = _tell_spread(task, label, pilot)
+            seconds += pilot.seconds * trials
+    processes = f"{task.jobs} process{'es' if task.jobs > 1 else ''}"
+    click.echo(f"in all about {duration(seconds / task.jobs)} with {processes}")
+
+
+def _at_least(task: _Task, margin: float) -> str:
+    from pmbm.regression import least_trials
+
+    needed = least_trials(margin, task.metric.value_range, task.rules, len(task.cells))
+    most = task.rules.max_trials
+    few = f", more than max_trials, {most}" if needed > most else ""
+    return f"at least {needed} trials{few}, unless the candidate is better"
+
+
+def _entries_to_try(task: _Task, stack: ExitStack, against: str | None) -> dict[str, Entry] | None:
+    """As `_entries`; where nothing is stored yet, the candidate beside itself, for the time."""
+    from pmbm.errors import BaselineMismatch
+    from pmbm.regression import Entry
+
+    try:
+        return _entries(task, stack, against)
+    except BaselineMismatch as error:
+        click.echo(f"spread unknown: {error}")
+        return {
+            label: Entry(cell.source, task.tracker(cell), task.tracker(cell))
+            for label, cell in task.cells.items()
+        }
+
+
+def _tell_spread(task: _Task, label: str, pilot: Pilot) -> int:
+    """Say what a pass takes with the spread of a pilot, and give the trials that will run."""
+    from pmbm.regression import trials_with_spread
+
+    needed = trials_with_spread(pilot.pairs, task.rules, len(task.cells))
+    trials = min(needed or task.rules.max_trials, task.rules.max_trials)
+    capped = "" if needed == trials else f"; undecided after max_trials, {trials}"
+    click.echo(
+        f"{label}: spread {pilot.spread:.2g} over {len(pilot.pairs.loss)} trials: a pass takes "
+        f"{f'about {needed}' if needed else 'more than 5000'} without change, "
+        f"{pilot.seconds:.2g} s each{capped}"
+    )
+    return trials
 
 
 def _run(task: _Task, entries: dict[str, Any]) -> GateReport:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli.wording import duration
+
 if TYPE_CHECKING:
     from pmbm.study import Progress, Study
 
@@ -116,16 +118,9 @@ def _estimate(study: Study, store: Path, jobs: int) -> None:
     left = max(len(study) - done, 0)
     click.echo(
         f"{len(study)} trials ({len(study.cells)} cells x {study.trials}), {done} stored, "
-        f"{left} to run: about {_duration(left * each / jobs)} with {jobs} "
+        f"{left} to run: about {duration(left * each / jobs)} with {jobs} "
         f"process{'es' if jobs > 1 else ''} ({each:.2g} s a trial)"
     )
-
-
-def _duration(seconds: float) -> str:
-    for size, unit in ((86400, "days"), (3600, "h"), (60, "min")):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.0f} s"
 
 
 def _replay(study: Study, file: Path, index: int, out: Path) -> int:

@@ -2,6 +2,7 @@
 
 from pmbm.regression.gate import Entry, GateReport, SceneReport, run_gate
 from pmbm.regression.metric import GatedMetric, gated_metric
+from pmbm.regression.plan import Pilot, least_trials, run_pilot, trials_with_spread
 from pmbm.regression.stored import StoredBaseline, load_baseline
 from pmbm.regression.verdicts import Decision, Pairs, Rules, Verdict, judge
 
@@ -11,12 +12,16 @@ __all__ = [
     "GateReport",
     "GatedMetric",
     "Pairs",
+    "Pilot",
     "Rules",
     "SceneReport",
     "StoredBaseline",
     "Verdict",
     "gated_metric",
     "judge",
+    "least_trials",
     "load_baseline",
     "run_gate",
+    "run_pilot",
+    "trials_with_spread",
 ]

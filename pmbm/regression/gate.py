@@ -12,8 +12,18 @@ from threadpoolctl import threadpool_limits
 
 from pmbm.errors import InputError
 from pmbm.regression.metric import ALONGSIDE, GatedMetric
+from pmbm.regression.sequence import fewest_trials
 from pmbm.regression.stored import StoredBaseline
-from pmbm.regression.verdicts import Decision, Pairs, Rules, Verdict, judge, overall
+from pmbm.regression.verdicts import (
+    Decision,
+    Pairs,
+    Rules,
+    Verdict,
+    check_margin,
+    first_verdicts,
+    judge,
+    overall,
+)
 from pmbm.seeding import tracker_seed
 from pmbm.study.parallel import process_pool
 from pmbm.study.trial import Source, score_tracker
@@ -106,15 +116,17 @@ def run_gate(
     so that the report does not depend on it.
 
     Raises BaselineMismatch where stored values belong to other recordings, InputError where the
-    baseline fails or the metric is undefined.
+    baseline fails, the metric is undefined, or the margin is none (see `judge`).
     """
+    rules.check_range(metric.value_range)
     tell = progress or (lambda name, done, most: None)
     runs = {name: _Run(name, entry) for name, entry in entries.items()}
     most = {name: run.most(rules) for name, run in runs.items()}
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(limits=1))
         ahead = _Ahead(stack.enter_context(_pool(jobs)) if jobs > 1 else None, jobs)
-        undecided, found = list(runs), dict[str, Decision]()
+        undecided, pairs = list(runs), dict[str, Pairs]()
+        patience = min(*most.values(), fewest_trials(rules.alpha, rules.rarest))
         for trial in range(max(most.values())):
             going = [n for n in undecided if trial < most[n] and runs[n].error is None]
             if not going:
@@ -122,10 +134,31 @@ def run_gate(
             for name, pair in ahead.results(runs, going, trial, most, seed, metric):
                 runs[name].take(trial, pair)
                 tell(name, trial + 1, most[name])
-            found = judge({n: r.pairs(metric) for n, r in runs.items() if r.baseline}, rules)
-            undecided = [n for n in runs if n not in found or found[n].verdict is Verdict.UNDECIDED]
+            pairs = {n: r.pairs(metric) for n, r in runs.items() if r.baseline}
+            # The first values may be zero where the mean is not: a share of them is asked for once
+            # a pass is possible, and at the end.
+            if trial + 1 == patience:
+                check_margin(pairs, rules)
+            looks = first_verdicts(pairs, rules)
+            undecided = [n for n in runs if n not in looks or looks[n].verdict is Verdict.UNDECIDED]
+    found = judge(pairs, rules)
     scenes = tuple(run.report(found.get(name)) for name, run in runs.items())
     return GateReport(metric, rules, seed, scenes)
+
+
+def paired_values(name: str, entry: Entry, metric: GatedMetric, *, seed: int, trials: int) -> Pairs:
+    """The values of both trackers in the first trials of a scenario, no verdict asked.
+
+    Raises as `run_gate` does, and InputError where the candidate raises.
+    """
+    run = _Run(name, entry)
+    if isinstance(entry.baseline, StoredBaseline):
+        trials = min(trials, len(entry.baseline.trials(name)))
+    for trial in range(trials):
+        run.take(trial, _run_pair(entry, seed, trial, metric))
+        if run.error is not None:
+            raise InputError(f"the candidate raised in {run.error} of '{name}'")
+    return run.pairs(metric)
 
 
 class _Run:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -16,8 +16,9 @@ from pmbm.regression.sequence import (
     fewest_trials,
     hidden_rate,
     trials_without_change,
+    upper_bound,
 )
-from pmbm.types import FloatArray
+from pmbm.types import BoolArray, FloatArray
 
 
 class Verdict(StrEnum):
@@ -32,7 +33,8 @@ class Rules:
 
     margin : loss tolerated, in the metric's unit, > 0; or
     relative_margin : as a share of the baseline's value, > 0.  Exactly one of the two.
-    alpha : probability of a wrong verdict, of either kind, over all scenarios together.
+    alpha : probability of a wrong verdict, of either kind, over all scenarios together, whatever
+        the distribution of the values within the metric's range.
     rarest : the rarest disaster promised to be seen, as a share of trials.
     max_trials : undecided after so many.
     """
@@ -70,6 +72,16 @@ class Rules:
             bounds = f"above {above:g}" + (f" and below {below:g}" if below < np.inf else "")
             raise InputError("bad gate", field=name, expected=f"a number {bounds}", got=value)
 
+    def check_range(self, value_range: float) -> None:
+        """Raise InputError where the margin tolerates every loss within a metric's range."""
+        if self.margin is not None and self.margin >= value_range:
+            raise InputError(
+                "bad gate",
+                field="margin",
+                expected=f"less than the metric's range, {value_range:g}",
+                got=self.margin,
+            )
+
     def margins(self, baseline: FloatArray) -> FloatArray:
         """The tolerated loss of each trial, given the baseline's values (N,)."""
         if self.margin is not None:
@@ -77,26 +89,56 @@ class Rules:
         assert self.relative_margin is not None
         return self.relative_margin * np.abs(baseline)
 
+    def ceiling(self, value_range: float) -> float:
+        """The most by which a loss can exceed its margin."""
+        if self.margin is not None:
+            return value_range - self.margin
+        assert self.relative_margin is not None
+        return value_range * (1.0 + self.relative_margin)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Pairs:
     """A metric over the trials of one scenario, baseline beside candidate.
 
     baseline, candidate (N,) : values, lower is better.
-    value_range : B, the greatest difference that two values can have.
+    value_range : B, the greatest difference that two values can have; a greater one counts as B,
+        as a value beyond a gated metric's bounds does.
+
+    Raises InputError for values that are not finite or not paired, and for no range.
     """
 
     baseline: FloatArray
     candidate: FloatArray
     value_range: float
 
-    @property
-    def loss(self) -> FloatArray:
-        return self.candidate - self.baseline
+    def __post_init__(self) -> None:
+        for name in ("baseline", "candidate"):
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, values)
+            bad = np.flatnonzero(~np.isfinite(values))
+            if values.ndim != 1 or not len(values) or len(bad):
+                raise InputError(
+                    "bad pairs",
+                    field=name,
+                    expected="a finite number of each trial, of one trial at least",
+                    got=f"{values.flat[bad[0]]} in trial {bad[0]}" if len(bad) else values.shape,
+                )
+        if self.baseline.shape != self.candidate.shape:
+            raise InputError(
+                "bad pairs",
+                field="candidate",
+                expected=f"{len(self.baseline)} values, as the baseline has",
+                got=len(self.candidate),
+            )
+        if not 0.0 < self.value_range < np.inf:
+            raise InputError(
+                "bad pairs", field="value_range", expected="a number above 0", got=self.value_range
+            )
 
     @property
-    def equal(self) -> bool:
-        return bool(np.array_equal(self.baseline, self.candidate))
+    def loss(self) -> FloatArray:
+        return np.clip(self.candidate - self.baseline, -self.value_range, self.value_range)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,12 +147,13 @@ class Decision:
 
     trials : how many the verdict needed (all, where undecided).
     loss, low, high : mean loss of the candidate over these trials, and its confidence sequence at
-        `level`: at any time each end is wrong with at most that probability.
+        `level`, each end wrong with at most that probability at any time.  With a relative margin
+        `high` is `margin` plus the bound on what a loss exceeds its own trial's margin by.
     margin : mean tolerated loss over these trials.
     baseline, candidate : mean values.
     level : alpha after Holm's correction.
     hidden : rate of disasters that so many trials cannot exclude.
-    needs : trials below which this margin is never decided unless all values are equal.
+    needs : trials that a pass takes where all values are equal.
     """
 
     verdict: Verdict
@@ -139,31 +182,33 @@ def judge(scenarios: Mapping[str, Pairs], rules: Rules) -> dict[str, Decision]:
     disasters.  Fail: it excludes no loss, but not the margin.  A loss proven to lie between is
     no failure, and passes as "worse, within the margin" once there are enough trials.
 
-    Passes and failures are each corrected over the scenarios by Holm's method: with k of m
-    decided, the next needs alpha / (m - k).  The p-values hold at any time, so looking after
-    every trial, and stopping a scenario that is decided, costs nothing.
+    At every look the hypotheses of both kinds are one family to Holm's method, counted as Shaffer
+    does ("Modified sequentially rejective multiple test procedures", JASA 81, 1986): at most one
+    of a scenario's two is true, so that m scenarios need alpha / m, and with k of them known to
+    lie between, where both are false, alpha / (m - k).  A pass or a failure alone frees nothing,
+    since the scenario's other hypothesis may be true and has had its chance to be rejected.  The
+    sequences hold at any time, so looking after every trial, and stopping a scenario that is
+    decided, costs nothing.
+
+    Raises InputError for a margin as wide as the range, and for a share of a baseline of zero.
     """
-    found = {name: _evidence(pairs, rules) for name, pairs in scenarios.items()}
-    decided: dict[str, _First] = {}
-    while True:
-        levels = _levels(decided, len(scenarios), rules.alpha)
-        news = {
-            name: first
-            for name, proof in found.items()
-            if name not in decided and (first := _first(proof, levels)) is not None
-        }
-        if not news:
-            break
-        decided |= news
-    open_level = min(levels.values())
+    check_margin(scenarios, rules)
     return {
-        name: _decision(
-            pairs,
-            rules,
-            decided.get(name) or _First(Verdict.UNDECIDED, len(pairs.baseline), open_level),
-        )
-        for name, pairs in scenarios.items()
+        name: _decision(scenarios[name], rules, first)
+        for name, first in first_verdicts(scenarios, rules).items()
     }
+
+
+def check_margin(scenarios: Mapping[str, Pairs], rules: Rules) -> None:
+    """Raise InputError for a margin as wide as the range, or a share of a baseline of zero."""
+    for name, pairs in scenarios.items():
+        rules.check_range(pairs.value_range)
+        if rules.relative_margin is not None and not pairs.baseline.any():
+            raise InputError(
+                f"the baseline's mean is zero in '{name}', and so is every share of it",
+                field="relative_margin",
+                hint="say margin, in the metric's unit",
+            )
 
 
 def overall(verdicts: Sequence[Verdict]) -> Verdict:
@@ -173,72 +218,80 @@ def overall(verdicts: Sequence[Verdict]) -> Verdict:
     return Verdict.PASS if set(verdicts) == {Verdict.PASS} else Verdict.UNDECIDED
 
 
-def _evidence(pairs: Pairs, rules: Rules, level: float | None = None) -> Evidence:
-    # A share of the baseline's value widens what a trial can contribute by that share.
-    wider = 1.0 + (rules.relative_margin or 0.0)
-    return evidence(
-        pairs.loss,
-        rules.margins(pairs.baseline),
-        value_range=pairs.value_range * wider,
-        alpha=rules.alpha,
-        rarest=rules.rarest,
-        level=level,
-    )
-
-
 @dataclass(frozen=True)
-class _First:
-    """The first trial that allows a verdict, at this level."""
+class First:
+    """The first trial that allows a verdict, at this level; the last one where none does."""
 
     verdict: Verdict
     trials: int
     level: float
 
 
-def _levels(decided: Mapping[str, _First], scenarios: int, alpha: float) -> dict[Verdict, float]:
-    """Holm's level for the next pass and for the next failure."""
-    verdicts = [first.verdict for first in decided.values()]
-    return {
-        kind: alpha / max(scenarios - verdicts.count(kind), 1)
-        for kind in (Verdict.PASS, Verdict.FAIL)
-    }
+def first_verdicts(scenarios: Mapping[str, Pairs], rules: Rules) -> dict[str, First]:
+    """The verdicts of `judge`, without what they rest on."""
+    longest = max((len(pairs.baseline) for pairs in scenarios.values()), default=0)
+    levels = np.full(longest, rules.alpha / max(len(scenarios), 1))
+    found = {name: _evidence(pairs, rules) for name, pairs in scenarios.items()}
+    while True:
+        firsts = {name: _first(proof, levels, rules.rarest) for name, proof in found.items()}
+        between = np.zeros(longest, dtype=np.int64)
+        for name, proof in found.items():
+            both = _between(proof, levels)[: firsts[name].trials]
+            if both.any():
+                between[both.argmax() :] += 1
+        # A level depends on what was found up to its own trial, so that each round settles one
+        # more of the scenarios that leave the family.
+        relaxed = rules.alpha / np.maximum(len(scenarios) - between, 1)
+        if np.array_equal(relaxed, levels):
+            return firsts
+        levels = relaxed
 
 
-def _first(proof: Evidence, levels: Mapping[Verdict, float]) -> _First | None:
-    passes = proof.p_pass <= levels[Verdict.PASS]
-    between = proof.p_margin <= levels[Verdict.PASS]
-    fails = (proof.p_fail <= levels[Verdict.FAIL]) & ~between
-    either = np.flatnonzero(passes | fails)
-    if not len(either):
-        return None
-    verdict = Verdict.PASS if passes[either[0]] else Verdict.FAIL
-    return _First(verdict, int(either[0]) + 1, levels[verdict])
-
-
-def _decision(pairs: Pairs, rules: Rules, first: _First) -> Decision:
-    n = first.trials
-    used = replace(pairs, baseline=pairs.baseline[:n], candidate=pairs.candidate[:n])
-    proof = _evidence(used, rules, first.level)
-    margin = float(rules.margins(used.baseline).mean())
-    return Decision(
-        verdict=first.verdict,
-        trials=n,
-        loss=float(proof.loss[-1]),
-        low=float(proof.low[-1]),
-        high=float(proof.high[-1]),
-        margin=margin,
-        baseline=float(used.baseline.mean()),
-        candidate=float(used.candidate.mean()),
-        level=first.level,
-        hidden=hidden_rate(first.level, n),
-        needs=_needs(margin, pairs, rules),
-        equal=used.equal,
+def _evidence(pairs: Pairs, rules: Rules) -> Evidence:
+    return evidence(
+        pairs.loss,
+        pairs.loss - rules.margins(pairs.baseline),
+        value_range=pairs.value_range,
+        ceiling=rules.ceiling(pairs.value_range),
     )
 
 
-def _needs(margin: float, pairs: Pairs, rules: Rules) -> int:
-    if margin <= 0:
-        return fewest_trials(rules.alpha, rules.rarest)
-    return trials_without_change(
-        margin, value_range=pairs.value_range, alpha=rules.alpha, rarest=rules.rarest
+def _between(proof: Evidence, levels: FloatArray) -> BoolArray:
+    """After which trials (N,) a loss is proven, and proven to be smaller than the margin."""
+    level = levels[: len(proof.fail)]
+    return (proof.fail <= level) & (proof.margin <= level)
+
+
+def _first(proof: Evidence, levels: FloatArray, rarest: float) -> First:
+    trials = len(proof.fail)
+    level = levels[:trials]
+    seen = (1.0 - rarest) ** np.arange(1, trials + 1) <= level
+    passes = (proof.margin <= level) & seen
+    either = np.flatnonzero(passes | ((proof.fail <= level) & (proof.margin > level)))
+    if not len(either):
+        return First(Verdict.UNDECIDED, trials, float(level[-1]))
+    at = int(either[0])
+    return First(Verdict.PASS if passes[at] else Verdict.FAIL, at + 1, float(level[at]))
+
+
+def _decision(pairs: Pairs, rules: Rules, first: First) -> Decision:
+    n = first.trials
+    baseline, candidate, loss = pairs.baseline[:n], pairs.candidate[:n], pairs.loss[:n]
+    margins = rules.margins(baseline)
+    margin = float(margins.mean())
+    ceiling = rules.ceiling(pairs.value_range)
+    without_change = trials_without_change(margin, ceiling=ceiling, level=first.level)
+    return Decision(
+        verdict=first.verdict,
+        trials=n,
+        loss=float(loss.mean()),
+        low=-upper_bound(-loss, pairs.value_range, first.level),
+        high=margin + upper_bound(loss - margins, ceiling, first.level),
+        margin=margin,
+        baseline=float(baseline.mean()),
+        candidate=float(candidate.mean()),
+        level=first.level,
+        hidden=hidden_rate(first.level, n),
+        needs=max(without_change, fewest_trials(first.level, rules.rarest)),
+        equal=bool(np.array_equal(baseline, candidate)),
     )

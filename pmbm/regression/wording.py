@@ -67,7 +67,7 @@ def headline(report: GateReport, scene: SceneReport) -> str:
     if d.equal:
         text += "; all values are equal"
     if d.verdict is Verdict.UNDECIDED and d.trials < d.needs:
-        text += f"; this margin needs at least {d.needs} trials"
+        text += f"; this margin needs at least {d.needs} trials unless the candidate is better"
     return text
 
 

@@ -1,6 +1,7 @@
 """`pmbm gate` as a user calls it: exit codes, outputs, stored baselines, commits."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -157,6 +158,54 @@ def test_accepted_values_become_the_baseline(folder, capsys):
     # What was accepted by a person also passes beside the old tracker.
     code, out, _ = pmbm(capsys, *worse, "--against", "mine_gated:Mine")
     assert (code, "accepted in night.baseline.json" in out) == (0, True)
+
+
+def test_a_plan_says_what_a_gate_takes_and_runs_none(folder, capsys):
+    code, out, _ = pmbm(
+        capsys, "gate", "night.toml", "--plan", "--against", "mine_gated:Mine", "--jobs", "2"
+    )
+    lines = out.splitlines()
+    assert code == 0
+    assert lines[0] == "ospa: range 2, alpha 0.05 over 1 scenario"
+    assert lines[1] == (
+        "margin 0.5, 25 % of the range: at least 14 trials, unless the candidate is better"
+    )
+    assert re.fullmatch(
+        r"parked\.toml: spread 0 over 10 trials: a pass takes about 14 without change, \S+ s each",
+        lines[2],
+    )
+    assert re.fullmatch(r"in all about \S+ s with 2 processes", lines[3])
+
+
+def test_a_plan_says_what_is_missing(folder, capsys):
+    code, out, _ = pmbm(capsys, "gate", "night.toml", "--plan", "--max-trials", "5")
+    assert code == 0
+    assert "at least 14 trials, more than max_trials, 5" in out
+    assert "spread unknown: no stored baseline" in out
+    assert "undecided after max_trials, 5" in out
+    code, out, _ = pmbm(
+        capsys,
+        *("gate", "night.toml", "--plan", "--relative-margin", "0.5"),
+        *("--against", "mine_gated:Worse"),
+    )
+    assert code == 0
+    assert "parked.toml: margin 0.75: at least " in out
+    code, out, err = pmbm(
+        capsys,
+        *("gate", "night.toml", "--plan", "--relative-margin", "0.5"),
+        *("--against", "mine_gated:Mine"),
+    )
+    assert code == 2
+    assert "mean is zero in 'parked.toml'" in err
+    assert "say margin" in err
+
+
+def test_a_share_of_a_perfect_baseline_is_refused(folder, capsys):
+    arguments = ("--against", "mine_gated:Mine", "--relative-margin", "0.5")
+    code, out, err = pmbm(capsys, "gate", "night.toml", *arguments)
+    assert (code, out) == (2, "")
+    assert "mean is zero in 'parked.toml'" in err
+    assert "say margin" in err
 
 
 def test_another_world_is_a_mismatch(folder, capsys):

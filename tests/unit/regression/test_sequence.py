@@ -1,67 +1,125 @@
-"""The confidence sequence against quadrature, closed forms and hand-worked rules."""
+"""The confidence sequence against exact products of its bets, and its laws."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
-from scipy.optimize import brentq
-from scipy.stats import norm
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pmbm.regression.sequence import (
-    _log_e_value,
-    _reach,
-    _spread,
+    BETS,
+    WEIGHTS,
     evidence,
     fewest_trials,
     hidden_rate,
+    log_wealth,
     trials_without_change,
+    upper_bound,
 )
 
 ALPHA = 0.01
-SPREAD = _spread(ALPHA, 90)
-RULES = {"value_range": 1.0, "alpha": ALPHA, "rarest": 0.05}
+LOSSES = st.lists(st.integers(-64, 64), min_size=1, max_size=40)
+"""Numerators of losses in 64ths of the range."""
 
 
-def mixture(total, n, spread):
-    """E over |N(0, spread)| of the likelihood ratio exp(x S - x^2 n / 2), by quadrature."""
-    sd = math.sqrt(spread)
-    peak = max(total / n, sd)
-
-    def integrand(x):
-        return 2 * norm.pdf(x, scale=sd) * math.exp(x * total - x * x * n / 2)
-
-    return quad(integrand, 0, peak + 30 / math.sqrt(n), points=[peak], limit=400)[0]
-
-
-@pytest.mark.parametrize("n", [1, 7, 90, 600])
-@pytest.mark.parametrize("z", [-1.0, 0.0, 2.0, 4.0])
-def test_the_e_value_is_the_mixture(n, z):
-    total = z * math.sqrt(n)
-    found = _log_e_value(np.array([total / n]), np.array([float(n)]), SPREAD)[0]
-    assert found == pytest.approx(math.log(mixture(total, n, SPREAD)), abs=1e-8)
+def direct(values, ceiling, mean):
+    """The wealth after each value in exact fractions, bet by bet."""
+    shares = [Fraction(1, 2**k) for k in range(8)]
+    weights = [Fraction(1, 2)] + [Fraction(1, 14)] * 7
+    wealth, after = list(weights), []
+    for value in values:
+        wealth = [
+            w * (1 - c * (value - mean) / (ceiling - mean))
+            for c, w in zip(shares, wealth, strict=True)
+        ]
+        assert min(wealth) >= 0
+        after.append(sum(wealth))
+    return after
 
 
-@pytest.mark.parametrize("level", [0.05, 0.01, 1e-4])
-@pytest.mark.parametrize("n", [1.0, 90.0, 1e4, 1e6])
-def test_the_reach_is_where_the_e_value_is_one_over_alpha(n, level):
-    def above(score):
-        return _log_e_value(np.array([score]), np.array([n]), SPREAD)[0] - math.log(1 / level)
-
-    assert _reach(np.array([n]), SPREAD, level)[0] == pytest.approx(
-        brentq(above, 0.0, 60.0, xtol=1e-15), rel=1e-9
-    )
+@given(LOSSES, st.integers(-63, 63))
+def test_wealth_is_the_product_of_the_bets(numerators, at):
+    values, mean = [Fraction(k, 64) for k in numerators], Fraction(at, 64)
+    ours = log_wealth(np.array(numerators) / 64, 1.0, at / 64)
+    theirs = [math.log(w) for w in direct(values, Fraction(1), mean)]
+    np.testing.assert_allclose(ours, theirs, rtol=1e-11, atol=1e-11)
 
 
-def test_the_published_bound_is_a_little_wider():
-    # Waudby-Smith et al., one-sided: sqrt(2 (n r + 1) / (n^2 r) log(1 + sqrt(n r + 1) / (2 a))).
-    n = np.arange(10.0, 1000.0)
-    published = np.sqrt(
-        2 * (n * SPREAD + 1) / (n**2 * SPREAD) * np.log1p(np.sqrt(n * SPREAD + 1) / (2 * ALPHA))
-    )
-    ours = _reach(n, SPREAD, ALPHA)
-    assert np.all(ours <= published)
-    assert np.all(ours >= 0.93 * published)
+def test_what_a_gambler_starts_with_is_one():
+    assert WEIGHTS.sum() == pytest.approx(1.0, abs=1e-15)
+    assert WEIGHTS.min() > 0
+    assert BETS.max() == 1.0
+    assert BETS.min() > 0
+
+
+@given(
+    st.lists(st.tuples(st.integers(-64, 64), st.integers(1, 9)), min_size=2, max_size=5),
+    st.integers(0, 64),
+)
+def test_wealth_is_expected_to_fall_under_the_hypothesis(points, above):
+    # One step over any distribution within the range, whose mean is at least what is bet against.
+    total = sum(weight for _, weight in points)
+    mean = sum(Fraction(value, 64) * weight for value, weight in points) / total
+    against = max(mean - Fraction(above, 64), Fraction(-1))
+    if against < 1:
+        expected = sum(
+            direct([Fraction(value, 64)], Fraction(1), against)[0] * weight
+            for value, weight in points
+        )
+        assert expected <= total
+
+
+def test_evidence_is_one_over_both_wealths():
+    loss = np.random.default_rng(3).uniform(-1, 1, (4, 60))
+    found = evidence(loss, loss - 0.05, value_range=1.0, ceiling=0.95)
+    for row in range(4):
+        exact = [Fraction(x) for x in loss[row].tolist()]
+        against_margin = direct([x - Fraction(0.05) for x in exact], Fraction(0.95), 0)
+        against_nothing = direct([-x for x in exact], Fraction(1), 0)
+        for ours, wealths in ((found.margin, against_margin), (found.fail, against_nothing)):
+            p_values = [min(1.0, float(1 / w)) for w in wealths]
+            np.testing.assert_allclose(ours[row], p_values, rtol=1e-9)
+
+
+def test_a_trial_at_the_ceiling_ruins_the_largest_bet_and_no_other():
+    for range_ in (1.0, 0.1, 3.7, 1e-9, 1e9):
+        margin = 0.03 * range_
+        losses = np.array([0.0, range_, 0.0, 0.0])
+        wealth = np.exp(log_wealth(losses - margin, range_ - margin))
+        exact = direct([Fraction(0), Fraction(1), Fraction(0), Fraction(0)], 1, Fraction(3, 100))
+        np.testing.assert_allclose(wealth, [float(w) for w in exact], rtol=1e-9)
+
+
+@given(LOSSES, st.sampled_from([0.2, 0.01, 1e-4]))
+def test_the_bound_is_where_the_wealth_reaches_one_over_the_level(numerators, level):
+    values = np.array(numerators) / 64
+    high = upper_bound(values, 1.0, level)
+    low = -upper_bound(-values, 1.0, level)
+    assert -1.0 <= low < high <= 1.0
+    assert low <= values.mean() <= high
+    if high < 1.0:
+        assert log_wealth(values, 1.0, high)[-1] == pytest.approx(-math.log(level), abs=1e-6)
+        assert log_wealth(values, 1.0, 0.5 * (values.mean() + high))[-1] < -math.log(level)
+        assert log_wealth(values, 1.0, 0.5 * (high + 1.0))[-1] > -math.log(level)
+
+
+def test_the_bound_of_the_worst_values_is_the_ceiling():
+    assert upper_bound(np.full(500, 1.0), 1.0, ALPHA) == 1.0
+    assert 0.97 < -upper_bound(np.full(500, -1.0), 1.0, ALPHA) < 1.0
+
+
+def test_bounds_and_evidence_say_the_same():
+    loss = np.random.default_rng(3).normal(0.02, 0.2, (20, 200)).clip(-1, 1)
+    found = evidence(loss, loss - 0.08, value_range=1.0, ceiling=0.92)
+    for row in range(20):
+        for n in range(1, 200, 13):
+            high = 0.08 + upper_bound(loss[row, :n] - 0.08, 0.92, ALPHA)
+            assert high == pytest.approx(upper_bound(loss[row, :n], 1.0, ALPHA), abs=1e-9)
+            assert (high < 0.08) == (found.margin[row, n - 1] < ALPHA)
+            low = -upper_bound(-loss[row, :n], 1.0, ALPHA)
+            assert (low > 0) == (found.fail[row, n - 1] < ALPHA)
 
 
 def test_trials_for_rare_disasters():
@@ -72,63 +130,21 @@ def test_trials_for_rare_disasters():
     assert hidden_rate(0.01, 90) < 0.05 < hidden_rate(0.01, 89)
 
 
-def test_equal_values_pass_when_disasters_would_have_been_seen():
-    proof = evidence(np.zeros(120), 1e-6, **RULES)
-    assert np.flatnonzero(proof.p_pass <= ALPHA)[0] + 1 == 90
-    assert proof.p_fail.min() > 0.4
-
-
-def test_one_last_bit_of_difference_makes_the_floor_count():
-    loss = np.zeros(600)
-    loss[0] = 1e-16
-    proof = evidence(loss, 0.01, **RULES)
-    first = np.flatnonzero(proof.p_pass <= ALPHA)[0] + 1
-    assert first == trials_without_change(0.01, **RULES) > 300
-
-
-def test_the_variance_never_falls_below_the_floor():
-    proof = evidence(np.full(400, 0.003), 0.5, **RULES)
-    n = np.arange(1, 401)
-    half = _reach(n.astype(float), SPREAD, ALPHA) / np.sqrt(n)
-    np.testing.assert_allclose(proof.high - 0.003, half, rtol=1e-9)
-    np.testing.assert_allclose(0.003 - proof.low, half, rtol=1e-9)
-    noisy = np.random.default_rng(1).normal(0.0, 2.0, 400)
-    wide = evidence(noisy, 0.5, **RULES)
-    running_sd = np.array([noisy[:k].std(ddof=1) for k in range(2, 401)])
-    np.testing.assert_allclose(
-        (wide.high - wide.loss)[1:],
-        _reach(n[1:].astype(float), SPREAD, ALPHA) * np.maximum(running_sd, 1 / np.sqrt(n[1:])),
-        rtol=1e-9,
+@pytest.mark.parametrize("margin", [0.3, 0.05, 0.03, 0.02, 0.01, 0.001])
+@pytest.mark.parametrize("level", [0.01, 0.01 / 3])
+def test_equal_values_take_an_eighth_more_than_any_method_could(margin, level):
+    # No method passes equal values sooner: they may be all that was seen of a disaster that costs
+    # the whole range in a share margin / B of trials.
+    bound = math.ceil(math.log(level) / math.log1p(-margin))
+    needed = trials_without_change(margin, ceiling=1.0 - margin, level=level)
+    assert bound <= needed <= 1.16 * bound + 1
+    found = evidence(
+        np.zeros(needed), np.full(needed, -margin), value_range=1.0, ceiling=1.0 - margin
     )
+    assert (found.margin[:-1] > level).all()
+    assert found.margin[-1] <= level
+    assert (found.fail == 1.0).all()
 
 
-def test_bounds_and_p_values_say_the_same():
-    rng = np.random.default_rng(3)
-    loss = rng.normal(0.02, 0.2, (40, 300))
-    proof = evidence(loss, 0.08, **RULES)
-    np.testing.assert_array_equal(proof.low > 0, proof.p_fail < ALPHA)
-    late = np.arange(1, 301) >= 90
-    np.testing.assert_array_equal((proof.high < 0.08)[:, late], (proof.p_pass < ALPHA)[:, late])
-    assert (proof.p_pass[:, ~late] > ALPHA).all()
-
-
-def test_a_level_narrows_the_bounds_and_not_the_p_values():
-    loss = np.random.default_rng(5).normal(0.0, 0.1, 200)
-    wide = evidence(loss, 0.05, **RULES, level=ALPHA / 10)
-    narrow = evidence(loss, 0.05, **RULES)
-    assert np.all(wide.high > narrow.high)
-    assert np.all(wide.low < narrow.low)
-    np.testing.assert_array_equal(wide.p_pass, narrow.p_pass)
-
-
-def test_the_least_cost_of_a_margin():
-    # One fewer trial would not do, and the floor alone decides it.
-    for margin in (0.5, 0.05, 0.01, 0.002):
-        n = trials_without_change(margin, **RULES)
-        half = _reach(np.array([float(n)]), SPREAD, ALPHA)[0] / math.sqrt(n)
-        assert half < margin
-        if n > 90:
-            fewer = _reach(np.array([n - 1.0]), SPREAD, ALPHA)[0] / math.sqrt(n - 1)
-            assert fewer >= margin
-    assert trials_without_change(0.5, **RULES) == 90
-    assert trials_without_change(1e-9, **RULES, at_most=1000) == 1000
+def test_a_margin_that_rounds_to_nothing_takes_for_ever():
+    assert trials_without_change(1e-308, ceiling=1.0, level=ALPHA) == 10**15
