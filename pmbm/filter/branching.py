@@ -74,7 +74,7 @@ def branch(
             log_missed,
             log_new,
             max_hypotheses,
-            clusters.LARGEST_TABLE,
+            clusters.largest_table(max_hypotheses),
             LARGEST_SEARCH,
             -log_negligible,
             log_negligible,

@@ -11,11 +11,18 @@ from pmbm.filter.density import Globals, Index, ragged, starts, summed
 from pmbm.types import ABSENT, FloatArray
 
 _SPLITMIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
-LARGEST_TABLE = 6000
-"""Members in the table of one cluster.  A cluster of more tracks keeps fewer hypotheses, so that no
-frame takes longer than its number of objects warrants."""
+TRACKS_IN_FULL = 30
+"""A cluster of at most so many tracks keeps as many hypotheses as the configuration says; one of
+more keeps fewer, so that no frame takes longer than its number of objects warrants."""
+_LEAST_TABLE, _MOST_TABLE = 6000, 10**9
 WORTH_FACTORING = 32
 """Members in a cluster's table, above which a split may save more than it costs."""
+
+
+def largest_table(cap: int) -> int:
+    """Members, over all hypotheses, that the table of one cluster may have, where `cap` hypotheses
+    are kept of each: `cap` for each of `TRACKS_IN_FULL` tracks, but no fewer than 6000."""
+    return min(max(_LEAST_TABLE, TRACKS_IN_FULL * cap), _MOST_TABLE)
 
 
 def joined(
@@ -92,7 +99,7 @@ def join(table: Globals, component: Index, number: int, cap: int) -> Globals:
     them: clusters that stay apart, then products, then components without clusters, which get one
     empty hypothesis.
 
-    Where a product would have more than `cap` rows (fewer, by `LARGEST_TABLE`), the best are kept;
+    Where a product would have more than `cap` rows (fewer, by `largest_table`), the best are kept;
     they are exact, since a row among the best of a product is made of rows among the best of each
     factor.
     """
@@ -143,14 +150,15 @@ def _product_rows(
     size, first_row = size[order], _first_row(table)[order]
     begin = np.searchsorted(owner, np.arange(number))
     factors = np.diff(begin, append=len(owner))
-    limit = np.clip(LARGEST_TABLE / np.maximum(summed(breadth, owner, number), 1.0), 1, cap)
+    most = largest_table(cap)
+    limit = np.clip(most / np.maximum(summed(breadth, owner, number), 1.0), 1, cap)
 
     # A product's rows are counted like the digits of a clock: one wheel a factor.
     stride = np.ones(len(owner), np.intp)
     rank = np.arange(len(owner)) - begin[owner]
     for wheel in range(1, int(factors.max())):
         at = np.flatnonzero(rank == wheel)
-        stride[at] = np.minimum(stride[at - 1] * size[at - 1], LARGEST_TABLE + 1)
+        stride[at] = np.minimum(stride[at - 1] * size[at - 1], most + 1)
     rows_of = stride[begin + factors - 1] * size[begin + factors - 1]
     too_many = rows_of > limit
     best = {
@@ -264,13 +272,13 @@ def merge_equal(table: Globals) -> Globals:
 
 def row_limit(table: Globals, cap: int) -> Index:
     """(C,) hypotheses that each cluster may have: `cap`, or fewer where that many would hold more
-    than `LARGEST_TABLE` members."""
-    length = np.diff(table.start)
-    if length.max(initial=0) * cap <= LARGEST_TABLE:
+    than `largest_table` members."""
+    length, most = np.diff(table.start), largest_table(cap)
+    if length.max(initial=0) * cap <= most:
         return np.full(table.clusters, cap)
     rows = np.bincount(table.cluster, minlength=table.clusters)
     members = summed(length, table.cluster, table.clusters)
-    return np.clip(LARGEST_TABLE * rows / np.maximum(members, 1.0), 1, cap).astype(np.intp)
+    return np.clip(most * rows / np.maximum(members, 1.0), 1, cap).astype(np.intp)
 
 
 def factor(table: Globals, track: Index, tolerance: float) -> Globals:

@@ -72,7 +72,9 @@ class PMBMConfig:
     Reduction (Sec. 2.7)
     gate : squared Mahalanobis distance of a measurement that may be a track's, > 0.
     max_hypotheses : global hypotheses kept per cluster, >= 1; a parent of weight w has at most
-        ceil(max_hypotheses w) children.
+        ceil(max_hypotheses w) children.  A cluster of more than 30 tracks keeps fewer: as many as
+        hold 30 max_hypotheses entries together, one entry a track, or 6000 if that is more; and so
+        does one that a single frame gives more than 300,000 ways to pair tracks and detections.
     prune_hypothesis : global hypotheses of a weight up to this are dropped, in [0, 1).
     recycle_below : Bernoullis of an existence below this leave the mixture, in [0, 1].
     recycle : whether these become PPP components, or are forgotten.

@@ -122,7 +122,7 @@ def _fewer_compiled(
         len(density.track_id),
         log_of(limits.prune_hypothesis),
         limits.max_hypotheses,
-        clusters.LARGEST_TABLE,
+        clusters.largest_table(limits.max_hypotheses),
         limits.recycle_below,
         limits.max_tracks,
         limits.clustering,

@@ -145,7 +145,7 @@ def worlds(count):
 
 @pytest.fixture(autouse=True)
 def _no_table_is_too_large(monkeypatch):
-    monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", 10**9)
+    monkeypatch.setattr("pmbm.filter.clusters.largest_table", lambda _: 10**9)
 
 
 def test_s1_exact_against_enumeration(verified, drawn):

@@ -356,7 +356,7 @@ def test_components_are_merged_alike(monkeypatch):
 @pytest.mark.parametrize("ties", [0, 1, 3, 30])
 def test_hypotheses_branch_alike(monkeypatch, cap, largest, search, ties, negligible):
     """Clusters that stay apart, clusters that measurements tie together, and measurements alone."""
-    monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", largest)
+    monkeypatch.setattr("pmbm.filter.clusters.largest_table", lambda _: largest)
     monkeypatch.setattr("pmbm.filter.branching.LARGEST_SEARCH", search)
     joins = 0
     for seed in range(5):

@@ -232,7 +232,7 @@ def test_a_parent_gets_children_in_proportion_to_its_weight():
 @pytest.mark.parametrize("seed", [0, 1, 2, 4])
 def test_clusters_on_and_off_give_the_same_density(seed, monkeypatch):
     """Four steps of two groups that stay apart and one that comes and goes, caps inactive."""
-    monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", 10**12)
+    monkeypatch.setattr("pmbm.filter.clusters.largest_table", lambda _: 10**12)
     rng = np.random.default_rng(seed)
     ppp = mixture([0.5], np.zeros((1, 4)), np.diag([900.0, 900.0, 4.0, 4.0])[None])
     starts = {False: Density.initial(ppp, clustering=False), True: Density.initial(ppp)}
@@ -305,7 +305,7 @@ def test_a_table_that_factors_is_taken_apart_exactly():
 
 
 def test_a_crowd_in_one_cluster_does_bounded_work(monkeypatch):
-    monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", 60)
+    monkeypatch.setattr("pmbm.filter.clusters.largest_table", lambda _: 60)
     rng = np.random.default_rng(0)
     tracks = [[(0.6, [x, 0, 0, 0], P1)] for x in range(12)]
     prior = density(Mixture.empty(), tracks, [(1.0, dict.fromkeys(range(12), 0))])

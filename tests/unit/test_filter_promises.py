@@ -113,7 +113,7 @@ def test_covariances_that_are_nearly_singular():
 
 def test_objects_that_coincide_are_bounded_work_and_the_caps_are_told(monkeypatch):
     """A dozen detections in one place, again and again: more hypotheses than are to be kept."""
-    monkeypatch.setattr("pmbm.filter.clusters.LARGEST_TABLE", 400)
+    monkeypatch.setattr("pmbm.filter.clusters.largest_table", lambda _: 400)
     config = PMBMConfig(max_hypotheses=20, prune_hypothesis=0.0, initial_objects=20.0)
     tracker = PMBMTracker(config)
     rng = np.random.default_rng(0)
@@ -125,6 +125,19 @@ def test_objects_that_coincide_are_bounded_work_and_the_caps_are_told(monkeypatc
         capped += seen.hypotheses_capped
         assert np.bincount(density.hypotheses.cluster).max(initial=0) <= 20
     assert capped > 0
+
+
+@pytest.mark.parametrize("clustering", [True, False])
+def test_as_many_hypotheses_are_kept_as_the_configuration_says(clustering):
+    """Ten objects in one place: a cluster of many tracks, and of more than 6000 entries."""
+    config = PMBMConfig(
+        max_hypotheses=2000, prune_hypothesis=0.0, split_below=0.0, clustering=clustering
+    )
+    tracker = PMBMTracker(config)
+    rng = np.random.default_rng(0)
+    for k in range(2):
+        tracker.step(frame(0.1 * k, rng.normal([10.0, 5.0], 0.3, (10, 2))))
+    assert np.bincount(tracker.density.hypotheses.cluster).max() == 2000
 
 
 def test_more_tracks_than_may_be_kept_is_told():
