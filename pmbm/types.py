@@ -229,7 +229,8 @@ class Tracks:
     score (K,) : probability that the object exists, in [0, 1].
     label (K,) : `Label` values.
     covariance (K,4,4) or None : of [x, y, vx, vy].
-    undetected : the intensity of objects never detected yet, or None.
+    undetected : the intensity of objects in view that have no track, or None: never detected yet,
+        or given up as a track and perhaps there.
     """
 
     time: float

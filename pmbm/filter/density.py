@@ -28,18 +28,21 @@ class Origin:
 
     track (P,) : id of the track that most of a component's recycled weight comes from, ABSENT where
         none does.  share (P,) : of its weight that does, in [0, 1].
+    recycled (P,) : share of its weight that comes from any track, in [share, 1]: objects that were
+        detected before, where the rest never was.
     """
 
     track: NDArray[np.int64]
     share: FloatArray
+    recycled: FloatArray
 
     def take(self, rows: Index) -> Origin:
-        return Origin(self.track[rows], self.share[rows])
+        return Origin(self.track[rows], self.share[rows], self.recycled[rows])
 
     @staticmethod
     def of(track: NDArray[np.int64]) -> Origin:
         """Components that are recycled weight and nothing else."""
-        return Origin(track, np.ones(len(track)))
+        return Origin(track, np.ones(len(track)), np.ones(len(track)))
 
     @staticmethod
     def joined(parts: list[tuple[Origin | None, int]]) -> Origin | None:
@@ -48,23 +51,35 @@ class Origin:
         if all(origin is None for origin, _ in parts):
             return None
         each = [
-            Origin(np.full(n, ABSENT, np.int64), np.zeros(n)) if origin is None else origin
+            Origin(np.full(n, ABSENT, np.int64), np.zeros(n), np.zeros(n))
+            if origin is None
+            else origin
             for origin, n in parts
         ]
         return Origin(
-            np.concatenate([one.track for one in each]), np.concatenate([one.share for one in each])
+            np.concatenate([one.track for one in each]),
+            np.concatenate([one.share for one in each]),
+            np.concatenate([one.recycled for one in each]),
         )
+
+    def diluted(self, by: FloatArray) -> Origin:
+        """After the first rows have taken in weight that was nobody's: this share (n,) of what they
+        hold."""
+        left = np.ones(len(self.share))
+        left[: len(by)] -= by
+        return Origin(self.track, self.share * left, self.recycled * left)
 
     def merged(self, order: Index, first: Index, weight: FloatArray) -> Origin | None:
         """Of groups of components: runs of `order` (P,) that begin at `first` (N,), where the
         components weigh `weight` (P,), in that order.
 
-        A group is of the origin that most of its weight is of; what others had is forgotten.
+        A group is of the origin that most of its weight is of; of what others had, only the share
+        is kept.
         """
         track, own = self.track[order], weight * self.share[order]
-        known = np.flatnonzero((track != ABSENT) & (own > 0))
-        if not len(known):
+        if not self.recycled.any():
             return None
+        known = np.flatnonzero((track != ABSENT) & (own > 0))
         group = np.repeat(np.arange(len(first)), np.diff(first, append=len(order)))
         known = known[np.lexsort((track[known], group[known]))]
         begin = np.flatnonzero(
@@ -73,10 +88,15 @@ class Origin:
         mass, head = np.add.reduceat(own[known], begin), known[begin]
         # The heaviest of each group comes last, and so is what stays written.
         heaviest = np.lexsort((mass, group[head]))
-        result = Origin(np.full(len(first), ABSENT, np.int64), np.zeros(len(first)))
+        total = np.add.reduceat(weight, first)
+        result = Origin(
+            np.full(len(first), ABSENT, np.int64),
+            np.zeros(len(first)),
+            np.add.reduceat(weight * self.recycled[order], first) / total,
+        )
         result.track[group[head[heaviest]]] = track[head[heaviest]]
         result.share[group[head[heaviest]]] = mass[heaviest]
-        result.share[:] /= np.add.reduceat(weight, first)
+        result.share[:] /= total
         return result
 
 
@@ -95,6 +115,11 @@ class Mixture:
 
     def __len__(self) -> int:
         return len(self.log_weight)
+
+    def never_detected(self) -> FloatArray:
+        """(P,) expected objects of each component that no detection has ever shown."""
+        weight = np.exp(self.log_weight)
+        return weight if self.origin is None else weight * (1 - self.origin.recycled)
 
     def take(self, rows: Index) -> Mixture:
         return Mixture(

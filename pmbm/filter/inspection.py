@@ -45,7 +45,9 @@ class Looked:
 class Inspection:
     """The tracker's mind after one step: T tracks, reported or not, and their H hypotheses.
 
-    time : s.  expected_undetected : expected number of objects never detected so far.
+    time : s.
+    expected_undetected : expected number of objects in view that were never detected so far; tracks
+        that were given up are not among them.
     track_id (T,), existence (T,) : probability that the object exists, over all hypotheses.
     object (T,) : that it exists and is no ghost.  in_view (T,) : that it is where the sensor looks.
     report_above : what `object` must exceed for the track to be reported.
@@ -131,15 +133,15 @@ def inspect(
     cluster = np.zeros(len(density.track_id), np.intp)
     cluster[local.track[table.member]] = np.repeat(table.cluster, np.diff(table.start))
     marginal = marginals(density)
-    best = local.take(marginal.best)
-    view = sensor.view
+    best, undetected = local.take(marginal.best), density.undetected
+    unseen = sensor.share_in_view(undetected.mean, undetected.cov)
     return Inspection(
         time=time,
-        expected_undetected=float(np.exp(density.undetected.log_weight).sum()),
+        expected_undetected=float(undetected.never_detected() @ unseen),
         track_id=density.track_id,
         existence=marginal.existence,
         object=marginal.objects(object_share),
-        in_view=np.ones(len(best)) if view is None else view.share_inside(best.mean, best.cov),
+        in_view=sensor.share_in_view(best.mean, best.cov),
         report_above=report_above,
         cluster=cluster,
         hypothesis_track=local.track,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pmbm import compiled
-from pmbm.filter.density import Density, Locals, Mixture, Origin
+from pmbm.filter.density import Density, Locals, Mixture
 from pmbm.filter.models import Transition
 from pmbm.filter.weights import log_of
 from pmbm.types import FloatArray
@@ -57,16 +57,8 @@ def _merged(birth: Mixture, survivors: Mixture) -> Mixture:
     log_weight[:n] = np.logaddexp(log_weight[:n], birth.log_weight)
     share = np.exp(birth.log_weight - log_weight[:n])
     cov[:n] += share[:, None, None] * (birth.cov - cov[:n])
-    return Mixture(log_weight, survivors.mean, cov, _diluted(survivors.origin, share))
-
-
-def _diluted(origin: Origin | None, share: FloatArray) -> Origin | None:
-    """The first rows have taken in weight that was nobody's: this share (n,) of what they hold."""
-    if origin is None:
-        return None
-    kept = origin.share.copy()
-    kept[: len(share)] *= 1 - share
-    return Origin(origin.track, kept)
+    origin = None if survivors.origin is None else survivors.origin.diluted(share)
+    return Mixture(log_weight, survivors.mean, cov, origin)
 
 
 def _kinds(kind: FloatArray | None, transition: Transition) -> FloatArray | None:

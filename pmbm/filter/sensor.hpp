@@ -24,7 +24,8 @@ inline void share_inside(const double* mean, const double* cov, std::size_t coun
         const double dx = mean[4 * i] - view.pose[0], dy = mean[4 * i + 1] - view.pose[1];
         const double distance = std::sqrt(dx * dx + dy * dy);
         const double sd = std::sqrt(std::max(cov[16 * i] + cov[16 * i + 5], 1e-12) / 2);
-        share[i] = normal_below((view.max_range - distance) / sd);
+        const double range = std::sqrt(distance * distance + sd * sd);
+        share[i] = normal_below((view.max_range - range) / sd);
         if (!(view.half_angle < pi)) continue;
         const double bearing = std::atan2(dy, dx) - view.pose[2] - view.centre;
         const double off_centre = std::abs(std::remainder(bearing, 2 * pi));

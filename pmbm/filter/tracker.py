@@ -277,7 +277,7 @@ class PMBMTracker:
             scaled_misses=config.miss_rule == "scaled",
             newest_box=config.newest_box,
             shadows=Shadows.of(predicted, view.pose, self.site.occluders) if hides else None,
-            hides_undetected=detailed,
+            undetected_in_detail=detailed,
         )
 
     def _object_share(self) -> FloatArray | None:

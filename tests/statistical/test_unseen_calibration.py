@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pmbm import Detections
+from pmbm import Detections, Site
 from pmbm.filter import PMBMTracker
 from pmbm.filter.models import View
 from pmbm.geometry import points_in_polygon
@@ -38,52 +38,78 @@ def some(mixture, rng):
     return draw(mixture, rng.poisson(np.exp(mixture.log_weight).sum()), rng)[0]
 
 
-def world(config, seed, *, believed=None, wall_speed=0.0):
-    """Objects of the model, looked at by the model's sensor; per look and region, how many were
-    expected that no detection has shown, and how many there were.
+def lives(config, seed, site, seen_share, *, in_view_alone=False):
+    """Objects of the model, frame by frame, looked at by the model's sensor: states (N,4), whether
+    each was detected so far (N,), and the positions (M,2) that the frame shows.
 
-    believed : what the tracker takes the model to be, where that is another.  wall_speed : of the
-    wall along itself, m/s, and of the regions behind it, which the tracker is told.
+    seen_share : of P_D, by frame, x and y.  in_view_alone : whether births that lie beyond the
+    sensor's range are no objects.
     """
     rng = np.random.default_rng([6, seed])
-    tracker = PMBMTracker(believed or config, SITE)
-    view = View.of(SITE, np.zeros(3))
-    model_of_births = PMBMTracker(config, SITE)
-    state = some(model_of_births._first(view), rng)
+    view = View.of(site, np.zeros(3))
+    model_of_births = PMBMTracker(config, site)
+
+    def appeared(mixture):
+        state = some(mixture, rng)
+        return state[np.hypot(*state[:, :2].T) <= site.max_range] if in_view_alone else state
+
+    state = appeared(model_of_births._first(view))
     born = model_of_births._births(view, DT)
     known = np.zeros(len(state), bool)
-    counts = []
     for frame in range(FRAMES):
         if frame:
             alive = rng.random(len(state)) < config.survival ** (DT / config.survival_interval)
             state, known = moved(state[alive], DT, config, rng), known[alive]
-            new = some(born, rng)
+            new = appeared(born)
             state = np.concatenate([state, new])
             known = np.concatenate([known, np.zeros(len(new), bool)])
-        moved_by = wall_speed * DT * (frame - FRAMES // 2)
-        wall = WALL + np.array([0.0, moved_by])
-        tracker.site = replace(SITE, occluders=(wall,))
-        hidden = hidden_share(*state[:, :2].T, wall=wall)
-        inside = np.hypot(*state[:, :2].T) <= SITE.max_range
-        seen = rng.random(len(state)) < config.detection_probability * inside * (1 - hidden)
-        known |= seen
+        share = seen_share(frame, *state[:, :2].T)
+        seen = rng.random(len(state)) < config.detection_probability * share
+        known = known | seen
         z = state[seen, :2] + rng.normal(0, config.measurement_sd, (int(seen.sum()), 2))
-        clutter = draw_clutter(config, rng)
-        report = tracker.step(detections(DT * frame, np.concatenate([z, clutter])))
+        yield state, known, np.concatenate([z, draw_clutter(config, site, rng)])
+
+
+def world(config, seed, *, believed=None, wall_speed=0.0):
+    """Per look and region, how many objects were expected that no detection has shown, and how many
+    there were.
+
+    believed : what the tracker takes the model to be, where that is another.  wall_speed : of the
+    wall along itself, m/s, and of the regions behind it, which the tracker is told.
+    """
+    tracker = PMBMTracker(believed or config, SITE)
+
+    def moved_by(frame):
+        return wall_speed * DT * (frame - FRAMES // 2)
+
+    def wall(frame):
+        return WALL + np.array([0.0, moved_by(frame)])
+
+    def seen_share(frame, x, y):
+        return in_range(SITE, x, y) * (1 - hidden_share(x, y, wall=wall(frame)))
+
+    counts = []
+    for frame, (state, known, z) in enumerate(lives(config, seed, SITE, seen_share)):
+        tracker.site = replace(SITE, occluders=(wall(frame),))
+        report = tracker.step(detections(DT * frame, z))
         if frame in LOOKS:
             for place in PLACES.values():
                 # The shadow's edges are straight lines from the sensor, so it moves with its range.
-                place = place + np.outer(place[:, 0] / WALL[:, 0].mean(), [0.0, moved_by])
-                inside = points_in_polygon(state[:, :2], place)
+                slope = np.outer(place[:, 0] / WALL[:, 0].mean(), [0.0, moved_by(frame)])
+                inside = points_in_polygon(state[:, :2], place + slope)
                 counts.append(
-                    (report.undetected.expected_count(place), int((inside & ~known).sum()))
+                    (report.undetected.expected_count(place + slope), int((inside & ~known).sum()))
                 )
     return np.array(counts).reshape(len(LOOKS), len(PLACES), 2)
 
 
-def draw_clutter(config, rng):
+def in_range(site, x, y):
+    return np.hypot(x, y) <= site.max_range
+
+
+def draw_clutter(config, site, rng):
     n = rng.poisson(config.clutter_rate)
-    radius, turn = SITE.max_range * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
+    radius, turn = site.max_range * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
     return np.column_stack([radius * np.cos(turn), radius * np.sin(turn)])
 
 
@@ -144,6 +170,47 @@ def test_the_expected_number_of_hidden_objects_is_calibrated(verified):
     )
     assert low <= dispersion <= high
     assert all(within)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("detection", "clutter"), [(0.9, 2.0), (0.6, 20.0)])
+def test_the_expected_number_of_undetected_objects_in_view_is_calibrated(
+    detection, clutter, verified
+):
+    """Without the map: births of seven broad Gaussians that reach over the edge of the view, and
+    tracks that were given up, which are not among those never detected."""
+    config = model(
+        **{**CROWDED, "clutter_rate": clutter},
+        detection_probability=detection,
+        undetected_detail=None,
+    )
+    site = Site(max_range=SITE.max_range)
+
+    def seen_share(frame, x, y):
+        return in_range(site, x, y)
+
+    counts = []
+    for seed in REPORTING:
+        tracker = PMBMTracker(config, site)
+        scene = lives(config, seed, site, seen_share, in_view_alone=True)
+        for frame, (state, known, z) in enumerate(scene):
+            tracker.step(detections(DT * frame, z))
+            if frame in LOOKS:
+                there = in_range(site, *state[:, :2].T) & ~known
+                counts.append((tracker.inspect().expected_undetected, int(there.sum())))
+    expected, there = np.sum(counts, axis=0)
+    low, high = stats.poisson.interval(0.99, expected)
+    ok = bool(low <= there <= high)
+    verified(
+        "undetected_edge",
+        f"objects in view that were never detected, P_D {detection}, {clutter:g} false detections "
+        f"a frame, {len(LOOKS)} looks at {len(REPORTING)} worlds: true count (expected "
+        f"{expected:.1f})",
+        int(there),
+        [float(low), float(high)],
+        ok,
+    )
+    assert ok
 
 
 WRONG = {

@@ -224,11 +224,12 @@ def test_ids_are_resumed_alike(monkeypatch, seed):
     mean = np.concatenate([random.normal(0, 3, (n, 2)), np.zeros((n, 2))], axis=1)
     mean[::2, 0] += 40
     track = random.integers(ABSENT, 8, n)
+    share = np.where(track == ABSENT, 0.0, random.uniform(0.6, 1, n))
     ppp = Mixture(
         random.normal(-3, 1, n),
         mean,
         np.tile(np.eye(4), (n, 1, 1)),
-        Origin(track, np.where(track == ABSENT, 0.0, random.uniform(0.6, 1, n))),
+        Origin(track, share, share),
     )
     prior = replace(Density.initial(ppp), track_id=np.arange(2), detections_seen=100)
     z = random.normal(0, 3, (m, 2)) + np.where(random.random(m) < 0.5, 40.0, 0.0)[:, None] * [1, 0]

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.special import ndtr
+from scipy.stats import ncx2
 
 from pmbm.filter.clusters import components
 from pmbm.filter.density import Density, Globals, Locals, Mixture
@@ -250,7 +250,17 @@ def test_who_is_in_view():
     cov = np.tile(np.eye(4), (5, 1, 1))
     share = view.share_inside(mean, cov)
     assert share[:4] == pytest.approx([1, 0, 0, 0], abs=1e-6)
-    assert share[4] == pytest.approx(ndtr(1.0), abs=1e-6)
+    assert share[4] == pytest.approx(ncx2.cdf(50**2, 2, 49**2), abs=1e-4)
+
+
+def test_the_share_in_view_of_wide_births_is_that_of_their_integral():
+    """Over a disc: the squared range has a noncentral chi-square distribution."""
+    view = View(np.array([3.0, -4.0, 0.0]), 0.0, np.pi, 60.0)
+    births = spread_over(view, 7, 10.0)
+    variance = births.cov[0, 0, 0]
+    square = ((births.mean[:, :2] - view.pose[:2]) ** 2).sum(axis=1)
+    want = ncx2.cdf(view.max_range**2 / variance, 2, square / variance)
+    assert view.share_inside(births.mean, births.cov) == pytest.approx(want, abs=0.02)
 
 
 def scene(seed, tracks=4):

@@ -29,7 +29,8 @@ def after_scan(parts, z, alive=()):
     weight, place, cov, track, share = zip(*parts, strict=True)
     mean = np.zeros((len(parts), 4))
     mean[:, :2] = place
-    origin = Origin(np.array(track, np.int64), np.array(share, float))
+    share = np.array(share, float)
+    origin = Origin(np.array(track, np.int64), share, share)
     ppp = Mixture(np.log(weight), mean, np.array(cov), origin)
     prior = replace(Density.initial(ppp), detections_seen=100, track_id=np.array(alive, np.int64))
     scan = Scan.of_positions(z)
@@ -93,7 +94,7 @@ def labelled(draw):
         rng.uniform(-8, 0, n),
         rng.uniform(-3, 3, (n, 4)),
         root @ root.transpose(0, 2, 1),
-        Origin(track, share),
+        Origin(track, share, rng.uniform(share, np.where(track == ABSENT, 0.0, 1.0))),
     )
 
 
@@ -118,6 +119,7 @@ def test_merging_neither_adds_to_anybodys_weight_nor_mixes_tracks(mixture, way):
     bare = change(replace(mixture, origin=None))
     for name in ("log_weight", "mean", "cov"):
         np.testing.assert_array_equal(getattr(after, name), getattr(bare, name))
+    assert after.never_detected().sum() == pytest.approx(mixture.never_detected().sum())
     for track, part in owned(after).items():
         assert part <= before[track] * (1 + 1e-9)
     if way == "split":
@@ -128,13 +130,15 @@ def test_merging_neither_adds_to_anybodys_weight_nor_mixes_tracks(mixture, way):
 
 def test_one_group_is_of_the_track_that_most_of_it_is_of():
     place = np.zeros((4, 4))
-    origin = Origin(np.array([5, 6, 5, ABSENT]), np.array([1.0, 1.0, 0.5, 0.0]))
+    share = np.array([1.0, 1.0, 0.5, 0.0])
+    origin = Origin(np.array([5, 6, 5, ABSENT]), share, share)
     weight = np.array([1.0, 1.2, 1.0, 0.8])
     whole = merged_by_cell(
         Mixture(np.log(weight), place, np.tile(NARROW, (4, 1, 1)), origin), 3.5, math.inf
     )
     assert whole.origin.track.tolist() == [5]
     assert whole.origin.share == pytest.approx([1.5 / 4.0])
+    assert whole.origin.recycled == pytest.approx([2.7 / 4.0])
 
 
 def drive(seed, **changes):

@@ -53,6 +53,34 @@ def test_the_count_in_a_shadow_is_that_of_particles():
     assert reports[-1].undetected.expected_count(SHADOW) == pytest.approx(want, rel=0.05)
 
 
+@pytest.mark.parametrize("detection", [0.9, 0.6, 0.3])
+def test_without_the_map_the_count_in_view_is_that_of_particles(detection):
+    """Births of seven broad Gaussians that reach over the edge of the view."""
+    config = model(undetected_detail=None, detection_probability=detection)
+    site = Site(max_range=52.0)
+    frames, turn = 16, np.linspace(0, 2 * np.pi, 128, endpoint=False)
+    tracker, reports = tracked(config, frames, site)
+
+    def sees(config, x, y):
+        return config.detection_probability * (np.hypot(x, y) <= site.max_range)
+
+    state, weight = reference(
+        config,
+        *births(config, site),
+        frames,
+        np.random.default_rng(4),
+        each=20_000,
+        sees=sees,
+        within=site.max_range,
+    )
+    inside = np.hypot(*state[:, :2].T) <= site.max_range
+    want = weight[inside].sum()
+    assert np.sqrt((weight[inside] ** 2).sum()) < 0.01 * want
+    assert tracker.inspect().expected_undetected == pytest.approx(want, rel=0.05)
+    circle = site.max_range * np.column_stack([np.cos(turn), np.sin(turn)])
+    assert reports[-1].undetected.expected_count(circle) == pytest.approx(want, rel=0.05)
+
+
 def test_what_is_seen_is_swept_out_and_what_is_hidden_stays():
     config = model()
     _, born = births(config)
@@ -225,7 +253,7 @@ def test_without_the_option_nothing_is_touched():
     assert if_seen is if_missed
     assert shape[0] is mean
     assert shape[1] is cov
-    np.testing.assert_array_equal(if_missed, sensor.detection_probability(mean, cov))
+    np.testing.assert_array_equal(if_missed, np.full(len(mean), sensor.usual_detection))
 
 
 CELL = 0.5

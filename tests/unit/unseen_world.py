@@ -73,18 +73,24 @@ def moved(state, dt, config, rng):
     return state @ F.T + rng.multivariate_normal(np.zeros(4), Q, len(state))
 
 
-def reference(config, initial, births, frames, rng, *, first=100_000, each=10_000):
-    """Particles (n,4) and masses (n,) after so many frames in which nothing was detected."""
+def reference(
+    config, initial, births, frames, rng, *, first=100_000, each=10_000, sees=seen_by, within=np.inf
+):
+    """Particles (n,4) and masses (n,) after so many frames in which nothing was detected.
+
+    sees : P_D by config, x and y.  within : range in which objects appear, m.
+    """
     state, mass = draw(initial, first, rng)
-    weight = np.full(first, mass)
+    weight = np.where(np.hypot(*state[:, :2].T) <= within, mass, 0.0)
     for frame in range(frames):
         if frame:
             state = moved(state, DT, config, rng)
             weight = weight * config.survival ** (DT / config.survival_interval)
             born, mass = draw(births, each, rng)
             state = np.concatenate([state, born])
-            weight = np.concatenate([weight, np.full(each, mass)])
-        weight = weight * (1 - seen_by(config, *state[:, :2].T))
+            born_weight = np.where(np.hypot(*born[:, :2].T) <= within, mass, 0.0)
+            weight = np.concatenate([weight, born_weight])
+        weight = weight * (1 - sees(config, *state[:, :2].T))
         keep = weight > 1e-7
         state, weight = state[keep], weight[keep]
     return state, weight
