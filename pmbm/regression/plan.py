@@ -12,7 +12,7 @@ from pmbm.regression.metric import GatedMetric
 from pmbm.regression.sequence import evidence, fewest_trials, trials_without_change
 from pmbm.regression.verdicts import Pairs, Rules
 
-_STUDIES = 200
+_STUDIES = 100
 _AT_MOST = 5000
 """Trials of a resampled study."""
 

@@ -43,7 +43,7 @@ def test_the_spread_of_a_few_trials_foretells_many():
     foretold = trials_with_spread(pairs(pilot), rules, 1)
     taken = [
         judge({"s": pairs(rng.normal(0.0, pilot.std(), 1500).clip(-1, 1))}, rules)["s"].trials
-        for _ in range(60)
+        for _ in range(40)
     ]
     assert foretold == pytest.approx(np.median(taken), rel=0.25)
     # What the pilot's mean is does not matter: the plan is for no change.
