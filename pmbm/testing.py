@@ -96,13 +96,15 @@ class Outcome:
         return max(self._defined(metric))
 
     def interval(self, metric: str) -> tuple[float, float]:
-        """The 95 % Student-t interval of its mean.
+        """The 95 % interval of its mean, see `pmbm.intervals`.
 
-        Raises AssertionError where fewer than two trials define it.
+        Raises AssertionError where fewer than two trials define it, or where all trials have one
+        value and the metric has no ends.
         """
-        found = estimate(self.values(metric))
+        found = estimate(self.values(metric), definition(metric).scale)
         if found.low is None or found.high is None:
-            raise AssertionError(f"{metric} is defined in {found.n} trials: no interval")
+            known = "is defined in" if found.n < 2 else "has one value in all"
+            raise AssertionError(f"{metric} {known} {found.n} trials: no interval")
         return found.low, found.high
 
     def measure(self, function: Callable[[Recording, TrackSequence], float]) -> list[float]:

@@ -129,9 +129,9 @@ def _note(section: Section) -> str:
     if trials == 1:
         return "One trial: no intervals. Arrows say which way is better."
     return (
-        f"{trials} trials. Mean ± half the 95 % interval; sem is the standard error of the mean. "
-        "Arrows say which way is better; a difference is coloured only where its interval "
-        "excludes zero."
+        f"{trials} trials. Mean and 95 % interval, of counts with its two ends; sem is the "
+        "standard error of the mean. Arrows say which way is better; a difference is coloured "
+        "only where its interval excludes zero."
     )
 
 

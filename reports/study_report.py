@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtr
 
-from pmbm.study import Estimate, Summary, TrialResult, estimate
+from pmbm.study import Estimate, Summary, TrialResult, estimate, metric_scale
 from reports.curves import Curve, curve_figure, svg_image
 from reports.page import render_page
 from reports.render import LAYERS, ReplayView, facts, replay_view
@@ -152,8 +151,8 @@ def study_markdown(study: StudyReport) -> str:
 def findings(study: StudyReport) -> tuple[Finding, ...]:
     """One finding per scenario and compared tracker, on the leading metric.
 
-    A cell counts where the paired t test, adjusted by Holm (Scand. J. Statist. 6, 1979) over all
-    cells and trackers of the study, is below 5 %.
+    A cell counts where the p-value of its paired difference, adjusted by Holm (Scand. J. Statist.
+    6, 1979) over all cells and trackers of the study, is below 5 %.
     """
     metric = leading_metric([summary for summary in study.summaries if summary])
     shown = shown_metric(metric)
@@ -185,12 +184,8 @@ def leading_metric(summaries: Sequence[Summary]) -> str:
 
 
 def p_value(difference: Estimate) -> float:
-    """Two-sided, of the paired t test against no difference; 1 where there is no interval."""
-    if difference.mean is None or difference.sem is None:
-        return 1.0
-    if difference.sem == 0:
-        return 0.0 if difference.mean else 1.0
-    return float(2 * stdtr(difference.n - 1, -abs(difference.mean) / difference.sem))
+    """Two-sided, against no difference; 1 where there is no interval at any level."""
+    return 1.0 if difference.uncertainty is None else difference.uncertainty.p_value()
 
 
 def holm(p_values: Sequence[float], alpha: float = ALPHA) -> list[bool]:
@@ -242,8 +237,7 @@ def _finding(
 def _interval(difference: Estimate, unit: str) -> str:
     text = words(difference, difference.n, signed=True)
     assert text is not None
-    half = f" ± {text.half}" if text.half else ""
-    return f"{text.mean}{half} {unit}".strip()
+    return f"{text} {unit}".strip()
 
 
 def _lede(study: StudyReport, summaries: Sequence[Summary]) -> str:
@@ -306,9 +300,7 @@ def robustness(cells: Sequence[CellResults], parameter: str) -> list[Curve]:
             metric=shown_metric(metric),
             levels=tuple(levels),
             lines={
-                tracker: tuple(
-                    estimate(_trial_means(at_level[level], tracker, metric)) for level in levels
-                )
+                tracker: tuple(_trial_means(at_level[level], tracker, metric) for level in levels)
                 for tracker in trackers
             },
             connected=len(levels) <= 12,
@@ -317,19 +309,19 @@ def robustness(cells: Sequence[CellResults], parameter: str) -> list[Curve]:
     ]
 
 
-def _trial_means(
-    cells: Sequence[Sequence[TrialResult]], tracker: str, metric: str
-) -> list[float | None]:
+def _trial_means(cells: Sequence[Sequence[TrialResult]], tracker: str, metric: str) -> Estimate:
     values: dict[int, list[float | None]] = {}
     for results in cells:
         for result in results:
             score = result.scores[tracker].get(metric)
             values.setdefault(result.trial, []).append(score)
-    return [
+    scale = metric_scale(metric, (value for row in values.values() for value in row))
+    means = [
         None if None in row else float(np.mean(np.array(row, dtype=np.float64)))
         for row in values.values()
         if len(row) == len(cells)
     ]
+    return estimate(means, scale.mean_of(len(cells)))
 
 
 def _stacks(filled: Sequence[tuple[CellResults, Summary]]) -> tuple[_Stack, ...]:
@@ -393,7 +385,7 @@ def _markdown_tables(study: StudyReport, summaries: Sequence[Summary]) -> list[s
 def _cell_text(text: Any) -> str:
     if text is None:
         return "–"
-    return f"{text.mean} ± {text.half}" if text.half else str(text.mean)
+    return str(text)
 
 
 __all__ = ["Finding", "findings", "holm", "p_value", "robustness", "study_markdown", "study_page"]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from pmbm.errors import InputError
+from pmbm.intervals import LEVEL
 from pmbm.metrics.catalogue import definition
 
 if TYPE_CHECKING:
@@ -58,11 +59,21 @@ class Metric:
 
 @dataclass(frozen=True)
 class Text:
-    """An estimate in words: mean, half-width of its interval or "", standard error and count."""
+    """An estimate in words: mean; its interval, which is one of half-width or ends, or neither;
+    standard error and count."""
 
     mean: str
     half: str
     detail: str
+    ends: str = ""
+
+    @property
+    def spread(self) -> str:
+        """What stands behind the mean."""
+        return f"± {self.half}" if self.half else self.ends
+
+    def __str__(self) -> str:
+        return f"{self.mean} {self.spread}".strip()
 
 
 @dataclass(frozen=True)
@@ -172,21 +183,28 @@ def metric_row(
 
 
 def words(estimate: Estimate | None, trials: int, *, signed: bool = False) -> Text | None:
-    """Mean and half-width, both to the half-width's second digit; None where undefined."""
+    """Mean and interval, both to the second digit of half its width; None where undefined.
+
+    An interval that is as wide to either side by its kind is told by half of it, another one by
+    its ends.
+    """
     if estimate is None or estimate.mean is None:
         return None
     mean = estimate.mean
-    if estimate.sem is None or estimate.high is None:
-        text = f"{mean:z.4g}"
-        return Text(_signed(text, signed), "", "" if trials == 1 else f"n {estimate.n}")
-    half = estimate.high - mean
-    detail = f"sem {estimate.sem:.2g}"
-    if estimate.n != trials:
-        detail += f" · n {estimate.n}"
-    if half <= 1e-9 * abs(mean):
-        return Text(_signed(f"{mean:z.4g}", signed), "0", detail)
-    digits = min(6, max(0, 1 - math.floor(math.log10(half))))
-    return Text(_signed(f"{mean:z.{digits}f}", signed), f"{half:.{digits}f}", detail)
+    counted = "" if estimate.n == trials else f"n {estimate.n}"
+    if estimate.uncertainty is None:
+        text = _signed(f"{mean:z.4g}", signed)
+        return Text(text, "", "" if trials == 1 else f"n {estimate.n}")
+    if estimate.low is None or estimate.high is None:
+        return Text(_signed(f"{mean:z.4g}", signed), "", counted, f"in all {estimate.n}")
+    reach = (estimate.high - estimate.low) / 2
+    digits = max(0, 1 - math.floor(math.log10(reach)))
+    shown = _signed(f"{mean:z.{digits}f}", signed)
+    if estimate.half is None:
+        low, high = (_signed(f"{end:z.{digits}f}", signed) for end in (estimate.low, estimate.high))
+        return Text(shown, "", counted, f"[{low}, {high}]")
+    detail = " · ".join(part for part in (f"sem {estimate.sem:.2g}", counted) if part)
+    return Text(shown, f"{estimate.half:.{digits}f}", detail)
 
 
 def difference(
@@ -202,16 +220,22 @@ def difference(
     verdict = judge(value, metric.sign)
     at, left, right = (round(_MIDDLE + _REACH * v / reach, 1) for v in (value.mean, low, high))
     label = f"{metric.name}: difference {text.mean}"
-    if text.half:
-        label += f" ± {text.half} ({verdict if verdict != 'tie' else 'no clear difference'})"
+    if text.spread:
+        label += f" {text.spread} ({verdict if verdict != 'tie' else 'no clear difference'})"
     return Difference(text, Bar(at, left, right, value.low is not None, verdict, label))
 
 
 def judge(value: Estimate, sign: int) -> Verdict:
     """What a paired difference shows: better or worse only where its interval excludes 0."""
-    if sign == 0 or value.low is None or value.high is None or value.low <= 0 <= value.high:
+    if sign == 0 or value.mean is None or value.uncertainty is None:
         return "tie"
-    return "better" if sign * value.low > 0 else "worse"
+    if value.low is None or value.high is None:
+        clear = value.uncertainty.p_value() < 1 - LEVEL
+    else:
+        clear = not value.low <= 0 <= value.high
+    if not clear:
+        return "tie"
+    return "better" if sign * value.mean > 0 else "worse"
 
 
 def _signed(text: str, signed: bool) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from scipy.special import stdtrit
-
 from pmbm.errors import InputError, nearest_hint
 from pmbm.study import Estimate, StudyResults, Summary
 from reports.study_report import ALPHA, holm, p_value
@@ -19,16 +17,14 @@ _SHOWN: dict[Verdict, str] = {"better": "better", "worse": "**worse**", "tie": "
 class Comparison:
     """A setting, a tracker, and how the reference does there against it.
 
-    difference : tracker - reference, over paired trials.
-    half : half of its interval at the level that Holm's procedure judged it at; None below two
-        trials.
+    difference : tracker - reference, over paired trials, its interval that of the level at which
+        Holm's procedure judged it.
     verdict : of the reference.
     """
 
     cell: int
     tracker: str
     difference: Estimate
-    half: float | None
     verdict: Verdict
 
 
@@ -41,8 +37,10 @@ def compare(
     summaries : of each setting; None where it has no results yet.
     leave_out : trackers that are not judged (bounds, that know the truth).
 
-    The p-th of m differences in order of their p-values has the interval of level
-    1 - .05 / (m - p); from the first that is not clear on, all have that one's.
+    The p-th of m differences in order of their p-values, from 0, has the interval of level
+    1 - .05 / (m - p), which excludes zero where the verdict is clear; from the first that is not
+    clear on, all have that one's.  Together these intervals are not simultaneous: those that are
+    compatible with Holm's procedure say nothing beyond the verdicts.
     """
     pairs = [
         (cell, tracker, difference)
@@ -64,8 +62,8 @@ def compare(
         verdict: Verdict = "tie"
         if clear[index]:
             verdict = "better" if difference.mean * sign < 0 else "worse"
-        half = _half(difference, ALPHA / (len(pairs) - rank[index]))
-        found.append(Comparison(cell, tracker, difference, half, verdict))
+        judged = difference.at(1 - ALPHA / (len(pairs) - rank[index]))
+        found.append(Comparison(cell, tracker, judged, verdict))
     return found
 
 
@@ -107,9 +105,11 @@ def versus_markdown(
         f"{results.done} of {results.total} trials, seed {results.seed}; "
         f"{len(results.failures)} without result; pmbm {_version(results)}; "
         f"digest {(results.digest or 'none: rows are damaged')[:16]}. A cell is the mean of that "
-        f"tracker, then its paired difference from {shown_reference} ± half of its interval, "
-        f"adjusted by Holm's procedure over all {len(compared)} comparisons (5 %), then the "
-        f"verdict on {shown_reference}.",
+        f"tracker, then its paired difference from {shown_reference} with its interval, then the "
+        f"verdict on {shown_reference} by Holm's procedure over all {len(compared)} comparisons "
+        "(5 %). An interval has the level at which its difference was judged and excludes zero "
+        "where the verdict is clear; the intervals are not simultaneous: 5 % bounds the chance of "
+        "a wrong verdict, not of an interval that misses.",
     ]
     if bounds:
         names = ", ".join(map(plain_markdown, bounds))
@@ -143,12 +143,6 @@ def _made_by(commands: Sequence[str]) -> list[str]:
     return ["Made by:", "", *map(code_block, commands), ""] if commands else []
 
 
-def _half(difference: Estimate, level: float) -> float | None:
-    if difference.sem is None:
-        return None
-    return float(stdtrit(difference.n - 1, 1 - level / 2)) * difference.sem
-
-
 def _mean(summary: Summary, tracker: str, metric: str) -> str:
     value = summary.estimates[tracker][metric].mean
     return "–" if value is None else f"{value:z.3f}"
@@ -158,8 +152,18 @@ def _cell(summary: Summary, tracker: str, metric: str, one: Comparison | None) -
     text = _mean(summary, tracker, metric)
     if one is None:
         return text
-    half = "" if one.half is None else f" ± {one.half:.3f}"
-    return f"{text} ({one.difference.mean:+z.3f}{half}) {_SHOWN[one.verdict]}"
+    return f"{text} ({_interval(one.difference)}) {_SHOWN[one.verdict]}"
+
+
+def _interval(difference: Estimate) -> str:
+    mean = f"{difference.mean:+z.3f}"
+    if difference.half is not None:
+        # Never told as a width of zero.
+        half = f"{difference.half:.3f}" if difference.half >= 0.0005 else f"{difference.half:.1g}"
+        return f"{mean} ± {half}"
+    if difference.low is not None and difference.high is not None:
+        return f"{mean} [{difference.low:+z.3f}, {difference.high:+z.3f}]"
+    return mean if difference.uncertainty is None else f"{mean} in all {difference.n}"
 
 
 def _regret(summary: Summary, bound: str, metric: str) -> str:

@@ -48,11 +48,6 @@ Runs = dict[str, dict[str, "list[Evaluation]"]]
 )
 @click.option("--metric", help="One of the rule's, to compare by.  [default: its first]")
 @click.option("--rule", help="One of the dataset's own.  [default: its first]")
-@click.option(
-    "--resamples", type=click.IntRange(min=100), default=10_000, show_default=True,
-    help="Of the sequences, for the intervals.",
-)  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
 @click.option("--markdown", metavar="FILE|-", help="Write the tables as Markdown.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
@@ -68,15 +63,13 @@ def command(
     ego_motion: bool,
     metric: str | None,
     rule: str | None,
-    resamples: int,
-    seed: int,
     json_file: str | None,
     markdown: str | None,
     jobs: int,
 ) -> None:
     """Run trackers over DATASET frame by frame, score them by its own rules, and compare the first
-    with each other one, class by class: paired differences, their 95 % intervals by a bootstrap
-    over sequences.  Labels are read for scoring and by the clairvoyant alone.
+    with each other one, class by class: paired differences, their 95 % intervals by a jackknife
+    over sequences, of five at least.  Labels are read for scoring and by the clairvoyant alone.
 
     \b
     Example:
@@ -105,12 +98,12 @@ def command(
         standing = open_dataset(dataset_name, **options)
         for kind, found in _run(dataset_name, standing, names, entries, rule, jobs).items():
             runs[kind] |= {f"{name}{WITHOUT_POSES}": each for name, each in found.items()}
-    tables = [_table(kind, found, by, metric, resamples, seed) for kind, found in runs.items()]
+    tables = [_table(kind, found, by, metric) for kind, found in runs.items()]
     title = f"{dataset_name}: {by.says}, online, sequences {' '.join(names)}"
     if json_file is not None:
         figures = {one.kind: one.figures() for one in tables}
         write_json(json_file, {"dataset": dataset_name, "rule": by.says, "compared": figures})
-    text = _markdown(title, tables, metric, resamples)
+    text = _markdown(title, tables, metric)
     if markdown not in (None, "-"):
         replace_text(Path(str(markdown)), text)
     if json_file != "-":
@@ -129,7 +122,12 @@ class _Table:
 
     def figures(self) -> dict[str, Any]:
         compared = {
-            name: {"difference": one.value, "low": one.low, "high": one.high}
+            name: {
+                "difference": one.value,
+                "low": one.low,
+                "high": one.high,
+                "reason": one.reason,
+            }
             for name, one in self.differences.items()
         }
         return {
@@ -194,10 +192,8 @@ def _table(
     runs: Mapping[str, list[Evaluation]],
     by: Rule,
     metric: str,
-    resamples: int,
-    seed: int,
 ) -> _Table:
-    from pmbm.study import bootstrap_difference
+    from pmbm.study import jackknife_difference
 
     first, *others = runs
     name = by.shown[metric]
@@ -210,23 +206,21 @@ def _table(
         scores={tracker: by.scores(found) for tracker, found in runs.items()},
         reasons={tracker: by.reasons(found) for tracker, found in runs.items()},
         differences={
-            other: bootstrap_difference(
-                against(other), runs[other], name, resamples=resamples, seed=seed
-            )
-            for other in others
+            other: jackknife_difference(against(other), runs[other], name) for other in others
         },
     )
 
 
-def _markdown(title: str, tables: Sequence[_Table], metric: str, resamples: int) -> str:
+def _markdown(title: str, tables: Sequence[_Table], metric: str) -> str:
     from pmbm.cli.evaluate import undefined_lines
     from reports.tables import markdown_table, plain_markdown
 
     first = next(iter(tables[0].scores))
     bare = any(name.endswith(WITHOUT_POSES) for name in tables[0].scores)
     lines = [
-        f"{title}. The last column: {metric} of {first} less that of the row, 95 % interval of "
-        f"{resamples} paired resamples of the sequences"
+        f"{title}. The last column: {metric} of {first} less that of the row, its 95 % interval "
+        "by a jackknife over the sequences, which falls short where a few of them are far from the "
+        "others (docs/intervals.md)"
         + (f"; for a row '{WITHOUT_POSES[2:]}', of the same tracker with them." if bare else "."),
     ]
     for table in tables:
@@ -246,9 +240,10 @@ def _markdown(title: str, tables: Sequence[_Table], metric: str, resamples: int)
 def _words(one: Difference | None) -> str:
     if one is None:
         return ""
-    if one.value is None or one.low is None or one.high is None:
+    if one.value is None:
         return "undefined"
-    return f"{one.value:+z.4f} [{one.low:+z.4f}, {one.high:+z.4f}]"
+    ends = f"[{one.low:+z.4f}, {one.high:+z.4f}]" if one.reason is None else f"({one.reason})"
+    return f"{one.value:+z.4f} {ends}"
 
 
 def _cell(value: float | None) -> str:

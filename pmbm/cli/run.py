@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from pmbm.study import Estimate, Source, Summary, TrialResult
     from reports.values import Section
 
@@ -230,16 +231,19 @@ def _show(name: str, summary: Summary, results: Sequence[TrialResult], *, to_std
     from rich.table import Table
 
     trials = f"{summary.trials} trial{'s' if summary.trials > 1 else ''}"
-    table = Table(title=f"{name}: {trials}, mean ± half of the 95 % interval", title_justify="left")
+    table = Table(title=f"{name}: {trials}, mean and 95 % interval", title_justify="left")
     table.add_column("metric", no_wrap=True)
     for tracker in summary.trackers:
         table.add_column(tracker, justify="right", no_wrap=True)
     for tracker in summary.differences:
         table.add_column(f"{tracker} - {summary.reference}", justify="right", no_wrap=True)
     for metric in HEADLINE:
-        row = [summary.estimates[tracker].get(metric) for tracker in summary.trackers]
-        row += [difference.get(metric) for difference in summary.differences.values()]
-        table.add_row(metric, *map(_text, row))
+        means = [summary.estimates[tracker].get(metric) for tracker in summary.trackers]
+        differences = [each.get(metric) for each in summary.differences.values()]
+        table.add_row(
+            metric,
+            *(_text(value, summary.trials) for value in [*means, *differences]),
+        )
     times = [
         sum(result.time[tracker].mean for result in results) / len(results)
         for tracker in summary.trackers
@@ -252,12 +256,10 @@ def _show(name: str, summary: Summary, results: Sequence[TrialResult], *, to_std
     console.print(table)
 
 
-def _text(value: Estimate | None) -> str:
-    if value is None or value.mean is None:
-        return "undefined"
-    if value.low is None or value.high is None:
-        return f"{value.mean:z.4g}"
-    half = (value.high - value.low) / 2
-    # Two digits of the uncertainty, and the mean to the same place.
-    places = 0 if half == 0 else max(0, 1 - math.floor(math.log10(half)))
-    return f"{value.mean:z.{places}f} ± {half:.{places}f}" if half else f"{value.mean:z.4g} ± 0"
+def _text(value: Estimate | None, trials: int) -> Text:
+    from rich.text import Text
+
+    from reports.tables import words
+
+    # Brackets are text here, not rich's marks; a terminal's minus is the keyboard's.
+    return Text(str(words(value, trials) or "undefined").replace("−", "-"))

@@ -295,8 +295,10 @@ def _held_back(problem: Simulated, tuned: Tuned, seed: int, count: int) -> tuple
     )
     rows = held.gains(_with(problem.tracker, tuned.parameters))
     gain = rows[-1][3]
-    if gain.low is None or gain.high is None:
+    if gain.mean is None:
         return rows, f"On held-back {held.where} the gain is undefined."
+    if gain.low is None or gain.high is None:
+        return rows, f"On held-back {held.where} the gain is {gain.mean:.4g} in all trials."
     gained = gain.low > 0 if problem.maximise else gain.high < 0
     return rows, (
         f"On held-back {held.where}, tuned - defaults: {gain.mean:z.4g}, 95 % interval "

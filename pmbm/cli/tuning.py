@@ -99,13 +99,20 @@ class Simulated:
             for values in (self.values(self.tracker), self.values(tracker))
         )
         names = [source.name for source in self.sources]
+        scales = [definition(self.metric).scale] * len(names)
         if len(names) > 1:
+            scales.append(scales[0].mean_of(len(names)))
             names.append("mean of all")
             before.append([_mean(each) for each in zip(*before, strict=True)])
             after.append([_mean(each) for each in zip(*after, strict=True)])
         return [
-            (name, estimate(b), estimate(a), estimate(paired(a, b)))
-            for name, b, a in zip(names, before, after, strict=True)
+            (
+                name,
+                estimate(b, each),
+                estimate(a, each),
+                estimate(paired(a, b), each.of_differences),
+            )
+            for name, b, a, each in zip(names, before, after, scales, strict=True)
         ]
 
     def document(self, parameters: Mapping[str, Any]) -> dict[str, Any]:

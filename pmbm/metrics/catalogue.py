@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from pmbm.errors import InputError, nearest_hint
+from pmbm.intervals import SHARE, Scale
 from pmbm.metrics.formulas import (
     NO_FRAMES,
     NO_MATCH,
@@ -32,7 +33,10 @@ from pmbm.metrics.formulas import (
     speed_parts,
     total,
 )
+from pmbm.metrics.parameters import MetricParameters
 from pmbm.metrics.result import OBSERVABLE, Definition, Undefined
+
+OSPA: Final = Scale(0.0, MetricParameters().ospa_cutoff)
 
 _DEFINITIONS: Final = (
     Definition(
@@ -58,22 +62,26 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="ospa", group="ospa", unit="m", direction="lower", series="distance",
+        measured=OSPA,
         answers="How far off is the picture, per object?",
         formula=ratio("distance", "frames", NO_FRAMES),
         parts=means("frames", "localisation", "cardinality"),
     ),
     Definition(
         name="ospa_localisation", group="ospa", unit="m", direction="lower",
+        measured=OSPA,
         series="localisation", answers="How much of OSPA is misplacement?",
         formula=ratio("localisation", "frames", NO_FRAMES),
     ),
     Definition(
         name="ospa_cardinality", group="ospa", unit="m", direction="lower", series="cardinality",
+        measured=OSPA,
         answers="How much of OSPA is a wrong number of objects?",
         formula=ratio("cardinality", "frames", NO_FRAMES),
     ),
     Definition(
         name="ospa2", group="ospa2", unit="m", direction="lower", series="distance",
+        measured=OSPA,
         answers="How far off are the tracks of the last second, identities included?",
         formula=ratio("distance", "frames", NO_FRAMES),
         parts=means("frames", "localisation", "cardinality"),
@@ -106,44 +114,53 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="precision", group="clear", variant="clear", unit="1", direction="higher",
+        measured=SHARE,
         answers="What share of reported boxes is real?",
         formula=ratio("matches", "tracks", NO_TRACKS),
     ),
     Definition(
         name="recall", group="clear", variant="clear", unit="1", direction="higher",
+        measured=SHARE,
         answers="What share of true boxes is reported?",
         formula=ratio("matches", "truths", NO_TRUTH),
     ),
     Definition(
         name="mostly_tracked", group="clear", variant="clear", unit="1", direction="higher",
+        measured=SHARE,
         answers="What share of objects is tracked for at least 80 % of its life?",
         formula=ratio("mostly_tracked", "objects", NO_TRUTH),
     ),
     Definition(
         name="mostly_lost", group="clear", variant="clear", unit="1", direction="lower",
+        measured=SHARE,
         answers="What share of objects is tracked for less than 20 % of its life?",
         formula=ratio("mostly_lost", "objects", NO_TRUTH),
     ),
     Definition(
         name="idf1", group="identity", unit="1", direction="higher",
+        measured=SHARE,
         answers="For how long does one track id stay with one object?",
         formula=f1("true_positives", "misses", "false_positives"),
     ),
     Definition(
         name="hota", group="hota", unit="1", direction="higher",
+        measured=SHARE,
         answers="How good are detection and association together, in equal parts?",
         formula=over_alphas(hota_curve),
     ),
     Definition(
         name="deta", group="hota", unit="1", direction="higher",
+        measured=SHARE,
         answers="How good is detection alone?", formula=over_alphas(deta_curve),
     ),
     Definition(
         name="assa", group="hota", unit="1", direction="higher",
+        measured=SHARE,
         answers="How good is association alone?", formula=over_alphas(assa_curve),
     ),
     Definition(
         name="loca", group="hota", unit="1", direction="higher",
+        measured=SHARE,
         answers="How well placed are matched boxes?", formula=over_alphas(loca_curve),
     ),
     Definition(
@@ -169,6 +186,7 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="yaw_flips", group="motion", unit="1", direction="lower",
+        measured=SHARE,
         answers="What share of matched objects points backwards (yaw off by more than 90 degrees)?",
         formula=ratio("flips", "matches", NO_MATCH),
     ),
@@ -186,6 +204,7 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="track_life", group="objects", unit="1", direction="higher",
+        measured=SHARE,
         answers="For what share of its visible life is an object tracked (mean)?",
         formula=mean("track_life", "no object is ever observable"),
         parts=described("track_life", "never_observable"),
@@ -198,6 +217,7 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="id_kept", group="occlusion", unit="1", direction="higher",
+        measured=SHARE,
         answers="In what share of occlusions does the object come back under its old id?",
         formula=kept_share,
         parts=lambda counts: {key: float(counts[key]) for key in ("kept", "lost", "untracked")},
@@ -226,11 +246,13 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="existence_brier", group="existence", unit="1", direction="lower", default=False,
+        measured=SHARE,
         answers="How good is the reported probability of existence (mean squared error)?",
         formula=ratio("square_sum", "reports", NO_TRACKS),
     ),
     Definition(
         name="existence_calibration_error", group="existence", unit="1", direction="lower",
+        measured=SHARE,
         default=False, answers="How far is the reported probability from the share that is real?",
         formula=calibration_error,
     ),
@@ -242,6 +264,7 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="siap_completeness", group="siap", unit="1", direction="higher", default=False,
+        measured=SHARE,
         answers="What share of objects has a track?",
         formula=ratio("tracked", "truths", NO_TRUTH),
     ),
@@ -252,6 +275,7 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="siap_spuriousness", group="siap", unit="1", direction="lower", default=False,
+        measured=SHARE,
         answers="What share of tracks follows nothing?",
         formula=lambda counts: (
             (counts["tracks"] - counts["associated"]) / counts["tracks"]
@@ -276,6 +300,7 @@ _DEFINITIONS: Final = (
     ),
     Definition(
         name="siap_longest_segment", group="siap", unit="1", direction="higher", default=False,
+        measured=SHARE,
         answers="What share of its life is an object's longest track?",
         formula=ratio("longest_segment", "lifetime", "no object lives for two frames"),
     ),

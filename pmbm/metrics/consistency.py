@@ -14,6 +14,7 @@ from scipy.special import gammaincinv
 
 from pmbm.errors import InputError
 from pmbm.geometry import wrap_angle
+from pmbm.intervals import FEWEST, jackknife_reach
 
 FloatArray = NDArray[np.float64]
 
@@ -57,7 +58,8 @@ class Consistency:
     step_bounds : 95 % of the means of M consistent runs lie between, at one step.
     fraction_inside : share of steps inside; about 0.95 for a consistent filter.
     mean : over runs and steps.  anees : mean / d; 1 for a consistent filter.
-    bounds : 95 % bounds of `mean`.
+    bounds : 95 % of such means of consistent runs lie between; None below five runs.  Steps of one
+        run are correlated, so that it is the runs that say how far their mean strays.
     """
 
     run_mean: FloatArray
@@ -65,7 +67,7 @@ class Consistency:
     fraction_inside: float
     mean: float
     anees: float
-    bounds: tuple[float, float]
+    bounds: tuple[float, float] | None
 
 
 def consistency(squares: ArrayLike, dimension: int) -> Consistency:
@@ -75,16 +77,22 @@ def consistency(squares: ArrayLike, dimension: int) -> Consistency:
         raise InputError(
             "bad normalised squares", field="squares", expected="(M >= 1, S >= 1)", got=values.shape
         )
-    runs, steps = values.shape
+    runs = len(values)
     run_mean = values.mean(axis=0)
     low, high = chi2_bounds(dimension, runs)
+    mean = float(values.mean())
+    bounds = None
+    if runs >= FEWEST:
+        of_runs = values.mean(axis=1)
+        reach = jackknife_reach((runs * mean - of_runs) / (runs - 1), [1.0] * runs)
+        bounds = (max(0.0, dimension - reach), dimension + reach)
     return Consistency(
         run_mean=run_mean,
         step_bounds=(low, high),
         fraction_inside=float(((run_mean >= low) & (run_mean <= high)).mean()),
-        mean=float(values.mean()),
-        anees=float(values.mean()) / dimension,
-        bounds=chi2_bounds(dimension, runs * steps),
+        mean=mean,
+        anees=mean / dimension,
+        bounds=bounds,
     )
 
 

@@ -260,7 +260,12 @@ def _consistency(work: _Work) -> _Tally:
         where = {"frame": int(scene.tracks.frame[row]), "object_id": int(scene.tracks.id[row])}
         raise problem.located(**where) from None
     return _Tally(
-        counts={"nees": float(squares.sum()), "estimates": len(squares)},
+        counts={
+            "nees": float(squares.sum()),
+            "estimates": len(squares),
+            "run_nees": Samples(np.array([squares.sum()])),
+            "run_estimates": Samples(np.array([float(len(squares))])),
+        },
         series={},
         parameters={"gate": work.parameters.gate, "state": "x, y, vx, vy"},
     )

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pmbm.metrics.consistency import chi2_bounds
+from pmbm.intervals import FEWEST, jackknife_reach
 from pmbm.metrics.result import Counts, Undefined
 from pmbm.types import FloatArray
 
@@ -142,17 +142,27 @@ def kept_share(counts: Counts) -> float | Undefined:
 
 
 def nees_parts(counts: Counts) -> Mapping[str, float]:
-    """How many estimates, and where 95 % of their means lie if they were independent and honest."""
-    if not counts["estimates"]:
-        return {}
-    low, high = chi2_bounds(STATE_DIMENSION, counts["estimates"])
-    return {"n": float(counts["estimates"]), "low": low, "high": high}
+    """How many estimates of how many runs; of five runs or more, where the mean of 95 % of as many
+    honest ones lies.
+
+    Estimates of one run are correlated, over frames and over the objects of a scene, so one run
+    has no bounds of its own: runs are what varies.
+    """
+    nees, estimates = counts["run_nees"].values, counts["run_estimates"].values
+    seen = estimates > 0
+    nees, estimates = nees[seen], estimates[seen]
+    parts = {"n": float(estimates.sum()), "runs": float(len(estimates))}
+    if len(estimates) < FEWEST:
+        return parts
+    without = (nees.sum() - nees) / (estimates.sum() - estimates)
+    reach = jackknife_reach(without, estimates)
+    return {**parts, "low": max(0.0, STATE_DIMENSION - reach), "high": STATE_DIMENSION + reach}
 
 
 def anees_parts(counts: Counts) -> Mapping[str, float]:
     """`nees_parts`, the bounds per dimension."""
     return {
-        key: value if key == "n" else value / STATE_DIMENSION
+        key: value / STATE_DIMENSION if key in ("low", "high") else value
         for key, value in nees_parts(counts).items()
     }
 

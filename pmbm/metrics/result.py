@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmbm.errors import InputError, nearest_hint
+from pmbm.intervals import COUNT, MEASURED, Scale
 from pmbm.labels import Label
 
 FloatArray = NDArray[np.float64]
@@ -24,6 +25,8 @@ Scope = Literal["all", "observable"]
 Direction = Literal["higher", "lower", "none"]
 
 OBSERVABLE = "_observable"
+_COUNTED = ("boxes", "events", "tracks")
+"""Units of metrics that are counts."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ class Definition:
     parts : the same -> further numbers worth showing beside the value, defined or not.
     series : name of the group's per-frame series, or None.
     default : whether `evaluate` gives it unasked.
+    measured : the values that it can take in a trial where it is no count, at the parameters'
+        defaults.
     """
 
     name: str
@@ -83,6 +88,12 @@ class Definition:
     parts: Callable[[Counts], Mapping[str, float]] | None = None
     series: str | None = None
     default: bool = True
+    measured: Scale = MEASURED
+
+    @property
+    def scale(self) -> Scale:
+        """The values that the metric can take in a trial."""
+        return COUNT if self.unit in _COUNTED else self.measured
 
     def value(
         self,

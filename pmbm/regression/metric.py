@@ -6,22 +6,18 @@ of trials bounds its mean; such metrics are reported beside the gate and not jud
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pmbm.errors import InputError
-from pmbm.metrics import MetricParameters, evaluate
+from pmbm.metrics import evaluate
 from pmbm.metrics.catalogue import definition
 from pmbm.metrics.result import OBSERVABLE, MetricValue
 from pmbm.types import Recording, TrackSequence
 
-_IN_METRES = ("ospa", "ospa2", "ospa_localisation", "ospa_cardinality")
-_RATIOS = (
-    *("hota", "deta", "assa", "loca", "idf1", "recall", "precision"),
-    *("mostly_tracked", "mostly_lost", "id_kept", "track_life", "yaw_flips"),
-)
 ALONGSIDE = ("gospa", "mota", "id_switches", "false_positives", "misses")
 """Reported beside the gated metric."""
 
@@ -73,7 +69,6 @@ def gated_metric(name: str, bounds: Sequence[float] | None = None) -> GatedMetri
     direction.
     """
     entry = definition(name)
-    base = name.removesuffix(OBSERVABLE)
     if entry.direction == "none":
         raise InputError(
             f"'{name}' has no better and worse", field="metric", hint="gate ospa or gospa"
@@ -84,15 +79,15 @@ def gated_metric(name: str, bounds: Sequence[float] | None = None) -> GatedMetri
                 "bad gate", field="bounds", expected="two numbers, low < high", got=bounds
             )
         known = (float(bounds[0]), float(bounds[1]))
-    elif base in _IN_METRES:
-        known = (0.0, MetricParameters().ospa_cutoff)
-    elif base in _RATIOS or _is_gospa(name):
+    elif _is_gospa(name):
         known = (0.0, 1.0)
+    elif math.isfinite(entry.scale.low) and math.isfinite(entry.scale.high):
+        known = (entry.scale.low, entry.scale.high)
     else:
         raise InputError(
             f"'{name}' has no bounds in a trial",
             field="metric",
-            hint=f"give bounds = [low, high], or gate {', '.join(('gospa', *_IN_METRES[:2]))}",
+            hint="give bounds = [low, high], or gate gospa, ospa, ospa2",
         )
     return GatedMetric(name, known, entry.direction == "lower")
 

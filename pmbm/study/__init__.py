@@ -1,13 +1,13 @@
 """Monte Carlo studies: trials, their statistics, and runs that survive anything."""
 
-from pmbm.study.bootstrap import Difference, bootstrap_difference
 from pmbm.study.configured import ConfiguredTracker, follow
+from pmbm.study.jackknife import Difference, jackknife_difference
 from pmbm.study.parallel import run_trials
 from pmbm.study.results import StudyResults, export, load_results
 from pmbm.study.runner import Progress, run_study
 from pmbm.study.store import read_store
 from pmbm.study.study import Cell, Study
-from pmbm.study.summary import Estimate, Summary, estimate, summarise
+from pmbm.study.summary import Estimate, Summary, estimate, metric_scale, summarise
 from pmbm.study.trial import Source, StepTime, TrialResult, run_trial
 
 __all__ = [
@@ -22,11 +22,12 @@ __all__ = [
     "StudyResults",
     "Summary",
     "TrialResult",
-    "bootstrap_difference",
     "estimate",
     "export",
     "follow",
+    "jackknife_difference",
     "load_results",
+    "metric_scale",
     "read_store",
     "run_study",
     "run_trial",

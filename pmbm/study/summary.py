@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import stdtrit
 
 from pmbm.errors import InputError, nearest_hint
+from pmbm.intervals import COUNT, MEASURED, Scale, Student, Uncertainty, of_mean
+from pmbm.metrics.catalogue import definition, names
 from pmbm.study.trial import TrialResult
 
-LEVEL = 0.95
+_NAMES = frozenset(names())
 
 
 @dataclass(frozen=True)
@@ -20,10 +21,13 @@ class Estimate:
     """A mean over trials with its uncertainty.
 
     mean : None where no trial defines the value.
-    sem : standard error of the mean, None below two trials.
-    low, high : the Student-t interval at 95 %, None below two trials.
+    sem : standard error of the mean, None below two trials and where all trials have one value,
+        which says nothing of its spread.
+    low, high : the interval at 95 %, see `pmbm.intervals`; None below two trials, and where all
+        trials have one value and the metric's range does not bound what others could have.
     n : trials that define the value.
     undefined : trials that do not; they are left out of everything above.
+    uncertainty : the p-value, and what `at` needs; None below two trials.
     """
 
     mean: float | None
@@ -32,6 +36,20 @@ class Estimate:
     high: float | None
     n: int
     undefined: int = 0
+    uncertainty: Uncertainty | None = None
+
+    @property
+    def half(self) -> float | None:
+        """Half of the interval where it is as wide to either side by its kind."""
+        if not isinstance(self.uncertainty, Student) or self.mean is None or self.high is None:
+            return None
+        return self.high - self.mean
+
+    def at(self, level: float) -> Estimate:
+        """The same with its interval at another level."""
+        ends = None if self.uncertainty is None else self.uncertainty.ends(level)
+        low, high = ends or (None, None)
+        return replace(self, low=low, high=high)
 
 
 @dataclass(frozen=True)
@@ -59,8 +77,11 @@ class Summary:
         return tuple(dict.fromkeys(name for row in self.estimates.values() for name in row))
 
 
-def estimate(values: Iterable[float | None]) -> Estimate:
-    """Mean, standard error and 95 % Student-t interval of the values that are not None."""
+def estimate(values: Iterable[float | None], scale: Scale = MEASURED) -> Estimate:
+    """Mean, standard error and 95 % interval of the values that are not None.
+
+    scale : the values that there can be, see `metric_scale`.
+    """
     given = list(values)
     defined = np.array([value for value in given if value is not None], dtype=np.float64)
     n = len(defined)
@@ -68,11 +89,22 @@ def estimate(values: Iterable[float | None]) -> Estimate:
     if n == 0:
         return Estimate(None, None, None, None, 0, undefined)
     mean = math.fsum(defined) / n
-    if n == 1:
+    uncertainty = of_mean(defined, scale)
+    if uncertainty is None:
         return Estimate(mean, None, None, None, 1, undefined)
-    sem = math.sqrt(math.fsum((defined - mean) ** 2) / (n - 1) / n)
-    reach = float(stdtrit(n - 1, (1 + LEVEL) / 2)) * sem
-    return Estimate(mean, sem, mean - reach, mean + reach, n, undefined)
+    sem = math.sqrt(math.fsum((defined - mean) ** 2) / (n - 1) / n) or None
+    low, high = uncertainty.ends() or (None, None)
+    return Estimate(mean, sem, low, high, n, undefined, uncertainty)
+
+
+def metric_scale(metric: str, values: Iterable[float | None] = ()) -> Scale:
+    """The values that a metric can have in a trial; of one that the catalogue does not know, whole
+    numbers from 0 up where all of these `values` are such."""
+    if metric in _NAMES:
+        return definition(metric).scale
+    known = [value for value in values if value is not None]
+    whole = all(value >= 0 and float(value).is_integer() for value in known)
+    return COUNT if known and whole else MEASURED
 
 
 def summarise(results: Sequence[TrialResult], reference: str | None = None) -> Summary:
@@ -99,10 +131,16 @@ def summarise(results: Sequence[TrialResult], reference: str | None = None) -> S
         for tracker in trackers
         for metric in metrics[tracker]
     }
-    estimates = {t: {m: estimate(columns[t, m]) for m in metrics[t]} for t in trackers}
+    scales = {
+        metric: metric_scale(
+            metric, (value for (_, key), each in columns.items() if key == metric for value in each)
+        )
+        for metric in dict.fromkeys(m for each in metrics.values() for m in each)
+    }
+    estimates = {t: {m: estimate(columns[t, m], scales[m]) for m in metrics[t]} for t in trackers}
     differences = {
         t: {
-            m: estimate(paired(columns[t, m], columns[reference, m]))
+            m: estimate(paired(columns[t, m], columns[reference, m]), scales[m].of_differences)
             for m in metrics[t]
             if m in metrics[reference]
         }

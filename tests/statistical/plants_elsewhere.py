@@ -152,4 +152,28 @@ OTHER_PLANTS = [
         by="tests/unit/test_right_values.py::TestWaymoWithoutPoints::test_is_not_considered",
         tests=("tests/unit/test_right_values.py",),
     ),
+    Plant(
+        "unequal sequences have as many degrees of freedom as equal ones",
+        "pmbm/intervals.py",
+        "return error, min(kish, satterthwaite)",
+        "return error, n - 1.0",
+        by="tests/unit/test_intervals.py::test_unequal_lengths_leave_fewer_degrees_of_freedom",
+        tests=("tests/unit/test_intervals.py", "tests/unit/test_compare_command.py"),
+    ),
+    Plant(
+        "counts have Student's interval",
+        "pmbm/intervals.py",
+        "return Counts.of(values, scale)",
+        "return Student(mean, float(np.std(values, ddof=1)) / math.sqrt(n), n)",
+        by="tests/unit/test_intervals.py::test_counts_that_never_happened_have_the_bound_of_poisson",
+        tests=("tests/unit/test_intervals.py", "tests/unit/test_report_page.py"),
+    ),
+    Plant(
+        "frames of a run are independent",
+        "pmbm/metrics/formulas.py",
+        "reach = jackknife_reach(without, estimates)",
+        "reach = 1.96 * (2 * STATE_DIMENSION / estimates.sum()) ** 0.5",
+        by="tests/unit/test_metric_honesty.py::test_runs_that_differ_widen_the_bounds_of_nees",
+        tests=("tests/unit/test_metric_honesty.py",),
+    ),
 ]

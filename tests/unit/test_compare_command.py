@@ -1,19 +1,21 @@
-"""`pmbm compare`, and the bootstrap under its intervals."""
+"""`pmbm compare`, and the jackknife under its intervals."""
 
 import dataclasses
-import itertools
 import json
+import math
 import re
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from pmbm.cli import main
 from pmbm.errors import InputError
-from pmbm.metrics import evaluate
-from pmbm.study import bootstrap_difference
+from pmbm.metrics.benchmarks import evaluate_argoverse1
+from pmbm.metrics.scene import make_scene
+from pmbm.study import jackknife_difference
 from pmbm.tracking import make_tracker, run, tracker_factory
 from sim import load_scenario
 
@@ -22,11 +24,11 @@ SAMPLE = Path(__file__).parents[1] / "data" / "kitti"
 
 @pytest.fixture(scope="module")
 def scored():
-    """Two trackers over four short recordings of unequal length."""
+    """Two trackers over six short recordings of unequal length."""
     found = {"pmbm": [], "argoverse": []}
-    for trial in range(4):
+    for trial in range(6):
         recording = load_scenario("crossing").record(1, trial)
-        n = 10 + 12 * trial
+        n = 10 + 8 * trial
         short = dataclasses.replace(
             recording,
             truth=recording.truth[:n],
@@ -37,7 +39,7 @@ def scored():
         )
         for name, each in found.items():
             tracks = run(make_tracker(tracker_factory(name), short.site), short)
-            each.append(evaluate(short, tracks, ["mota", "misses"]))
+            each.append(evaluate_argoverse1([make_scene(short.truth, tracks)]))
     return found
 
 
@@ -48,25 +50,47 @@ def mota(one, rows):
     return 1 - sum(c[e] for c in counts for e in errors) / sum(c["truths"] for c in counts)
 
 
-def test_the_interval_is_that_of_all_paired_resamples(scored):
+def test_the_interval_is_that_of_the_jackknife(scored):
+    """Worked out by hand: what each sequence changes, and the degrees that its objects leave."""
     a, b = scored["pmbm"], scored["argoverse"]
-    every = [mota(a, rows) - mota(b, rows) for rows in itertools.product(range(4), repeat=4)]
-    found = bootstrap_difference(a, b, "mota", resamples=40_000)
-    assert found.value == pytest.approx(mota(a, range(4)) - mota(b, range(4)))
-    for end, share in ((found.low, 0.025), (found.high, 0.975)):
-        # Resamples are few values with weights: between those of neighbouring shares.
-        near = np.quantile(every, [share - 0.003, share + 0.003])
-        assert near[0] - 1e-12 <= end <= near[1] + 1e-12
+    found = jackknife_difference(a, b, "mota")
+    assert found.value == pytest.approx(mota(a, range(6)) - mota(b, range(6)))
+    rows = [[row for row in range(6) if row != left] for left in range(6)]
+    without = np.array([mota(a, each) - mota(b, each) for each in rows])
+    error = math.sqrt(5 / 6 * ((without - without.mean()) ** 2).sum())
+    length = np.array([one["truths"].value for one in a])
+    kish = length.sum() ** 2 / (length**2).sum() - 1
+    degrees = min(kish, (length**2).sum() ** 2 / (length**4).sum() + 0.5)
+    assert degrees < 5
+    reach = stats.t.ppf(0.975, degrees) * error
+    assert (found.low, found.high) == pytest.approx((found.value - reach, found.value + reach))
+    back = jackknife_difference(b, a, "mota")
+    assert (back.low, back.high) == pytest.approx((-found.high, -found.low))
+
+
+def test_a_total_is_that_of_so_many_objects(scored):
+    """Errors in proportion to the objects vary in nothing, however long the sequences."""
+    found = jackknife_difference(scored["pmbm"], scored["argoverse"], "misses")
     assert found.low < found.value < found.high
-    assert bootstrap_difference(a, a, "mota").high == 0.0
-    assert bootstrap_difference(b, a, "mota", seed=3).low == pytest.approx(
-        -bootstrap_difference(a, b, "mota", seed=3).high
+    same = jackknife_difference(scored["pmbm"], scored["pmbm"], "misses")
+    assert (same.value, same.low, same.reason) == (
+        *(0.0, None),
+        "equal without any one sequence: no interval",
     )
 
 
-def test_a_bootstrap_of_other_sequences_is_refused(scored):
+def test_fewer_than_five_sequences_have_no_interval(scored):
+    a, b = scored["pmbm"], scored["argoverse"]
+    four = jackknife_difference(a[:4], b[:4], "mota")
+    assert four.value == pytest.approx(mota(a, range(4)) - mota(b, range(4)))
+    assert (four.low, four.high) == (None, None)
+    assert four.reason == "4 sequences with objects: no interval"
+    assert jackknife_difference(a[:5], b[:5], "mota").low is not None
+
+
+def test_other_sequences_are_refused(scored):
     with pytest.raises(InputError, match="the same sequences"):
-        bootstrap_difference(scored["pmbm"], scored["pmbm"][:2], "mota")
+        jackknife_difference(scored["pmbm"], scored["pmbm"][:2], "mota")
 
 
 @pytest.fixture
@@ -109,6 +133,11 @@ def test_the_table_and_its_figures(folder, tmp_path, capsys):
     )
     # Standing, the poses are worth nothing.
     assert less["clairvoyant, no poses"]["difference"] == 0
+    # One sequence says nothing of others.
+    assert (less["pmbm"]["low"], less["pmbm"]["reason"]) == (
+        *(None, "1 sequences with objects: no interval"),
+    )
+    assert "(1 sequences with objects: no interval) |" in text
 
 
 def test_without_origins_no_object_is_the_clairvoyants(folder, capsys):

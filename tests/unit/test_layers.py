@@ -13,6 +13,7 @@ LAYERS = [
     {
         "pmbm.errors",
         "pmbm.durable",
+        "pmbm.intervals",
         "pmbm.labels",
         "pmbm.door",
         "pmbm.types",

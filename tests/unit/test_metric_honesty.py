@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
+import scipy.stats
 from metric_builders import run_of
 
 from pmbm.errors import InputError
-from pmbm.metrics import evaluate
+from pmbm.metrics import combine, evaluate
 from pmbm.metrics.calibration import reliability
 from pmbm.metrics.consistency import chi2_bounds, consistency, normalised_squares
 
@@ -73,6 +76,29 @@ def test_squares_of_consistent_errors_lie_inside_their_bounds():
     boast = consistency(normalised_squares(errors, covariance / 2), 2)
     assert boast.anees == pytest.approx(2, abs=0.1)
     assert boast.mean > boast.bounds[1]
+
+
+def test_runs_that_differ_widen_the_bounds_of_nees():
+    """Five runs of two frames, of NEES 1 to 5 at every frame: Student's t of the runs' means."""
+    runs = []
+    for nees in range(1, 6):
+        covariance = np.tile(np.eye(4), (1, 1, 1)) / nees
+        truth, tracks = [{1: (0, 0)}] * 2, [{1: (1, 0)}] * 2
+        recording, reports = run_of(truth, tracks)
+        reports = [dataclasses.replace(each, covariance=covariance) for each in reports]
+        runs.append(evaluate(recording, reports, ["nees", "anees"]))
+    assert dict(runs[0]["nees"].components) == {"n": 2.0, "runs": 1.0}
+    assert "low" not in combine(runs[:4])["nees"].components
+    whole = combine(runs)
+    assert whole["nees"].value == pytest.approx(3.0)
+    reach = scipy.stats.t.ppf(0.975, 4) * np.sqrt(2.5 / 5)
+    want = {"n": 10, "runs": 5, "low": 4 - reach, "high": 4 + reach}
+    assert dict(whole["nees"].components) == pytest.approx(want)
+    want |= {"low": 1 - reach / 4, "high": 1 + reach / 4}
+    assert dict(whole["anees"].components) == pytest.approx(want)
+    squares = np.tile(np.arange(1.0, 6.0)[:, None], (1, 2))
+    assert consistency(squares, 4).bounds == pytest.approx((4 - reach, 4 + reach))
+    assert consistency(squares[:4], 4).bounds is None
 
 
 def test_angles_are_wrapped():

@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 import pytest
 from traffic import recording, tracks
 
+from pmbm.intervals import COUNT, SHARE
 from pmbm.study import TrialResult, estimate, summarise
 from reports.page import script_json
 from reports.render import run_page
@@ -37,6 +38,24 @@ def test_numbers_end_where_their_uncertainty_ends():
         assert words(estimate(values), len(values), signed=True).mean.strip("0.") == ""
     assert words(estimate([1.0, 1.2, None]), 3).detail.endswith("n 2")
     assert words(estimate([-1200.0, -800.0]), 2, signed=True).mean == "−1000"
+
+
+def test_counts_are_told_by_the_ends_of_their_interval():
+    none = words(estimate([0.0] * 20, COUNT), 20)
+    # ln(.025) / -20 = 0.184
+    assert (str(none), none.half, none.detail) == ("0.000 [0.000, 0.184]", "", "")
+    worse = words(estimate([1, 0, 2, 1] * 4 + [None], COUNT.of_differences), 17, signed=True)
+    assert re.fullmatch(r"\+1\.00 \[\+0\.\d\d, \+1\.\d\d\]", str(worse))
+    assert worse.detail == "n 16"
+    assert judge(estimate([1.0] * 20, COUNT.of_differences), -1) == "worse"
+    assert judge(estimate([1.0] * 2, COUNT.of_differences), -1) == "tie"
+
+
+def test_one_value_in_every_trial_has_no_width_of_zero():
+    assert str(words(estimate([2.5] * 20), 20)) == "2.5 in all 20"
+    assert str(words(estimate([1.0] * 20, SHARE), 20)) == "1.000 [0.832, 1.000]"
+    assert judge(estimate([2.5] * 20), -1) == "worse"
+    assert judge(estimate([2.5] * 2), -1) == "tie"
 
 
 def test_a_verdict_needs_an_interval_that_excludes_zero():

@@ -35,6 +35,41 @@ def test_less_gospa_is_better_and_more_mota_is():
     assert [one.verdict for one in found] == ["worse", "tie", "better"]
 
 
+def counted(values):
+    """One setting: tracker `a` has no id switch, `b` has these."""
+    times = {name: StepTime(0, 0, 0) for name in "ab"}
+    return summarise(
+        [
+            TrialResult(
+                *("scene", 0, trial, "digest"),
+                {"a": {"id_switches": 0.0}, "b": {"id_switches": value}},
+                times,
+            )
+            for trial, value in enumerate(values)
+        ]
+    )
+
+
+def test_verdicts_on_counts_are_those_of_their_intervals():
+    cells = [counted(each) for each in ([0.0] * 20, [0, 1] * 10, [1, 2] * 10, [1, 0])]
+    found = compare(cells, "id_switches")
+    assert [one.verdict for one in found] == ["tie", "better", "better", "tie"]
+    for one in found:
+        assert one.difference.low < one.difference.mean < one.difference.high
+        assert (one.difference.low > 0) == (one.verdict == "better")
+
+
+def test_an_equal_difference_in_two_trials_is_no_verdict():
+    pair = [
+        TrialResult("scene", 0, trial, "digest", {"a": {"gospa": 1.0}, "b": {"gospa": 1.5}}, {})
+        for trial in range(20)
+    ]
+    (two,) = compare([summarise(pair[:2])], "gospa")
+    assert (two.verdict, two.difference.low) == ("tie", None)
+    (twenty,) = compare([summarise(pair)], "gospa")
+    assert twenty.verdict == "better"
+
+
 def test_intervals_have_the_level_that_holm_judged_at():
     shifts = {"b": 1.0, "c": 0.1, "d": 0.06, "e": 0.0, "f": 0.01}
     cells = [summary(shifts, seed=seed) for seed in range(3)]
@@ -50,9 +85,9 @@ def test_intervals_have_the_level_that_holm_judged_at():
         one = found[index]
         # Holm's step-down, and intervals that exclude zero exactly where it rejects.
         assert (one.verdict != "tie") == (place < clear)
-        assert (abs(one.difference.mean) > one.half) == (place < clear)
+        assert (abs(one.difference.mean) > one.difference.half) == (place < clear)
         level = 0.05 / (m - min(place, clear))
-        assert one.half == pytest.approx(
+        assert one.difference.half == pytest.approx(
             stats.t.ppf(1 - level / 2, one.difference.n - 1) * one.difference.sem
         )
 
@@ -109,6 +144,7 @@ def test_the_page_of_a_store(store, tmp_path, capsys):
     text = capsys.readouterr().out
     assert "4 of 4 trials, seed 1; 0 without result" in text
     assert "over all 2 comparisons" in text
+    assert "the intervals are not simultaneous" in text
     assert "| pmbm against | better | no different | worse |" in text.replace("--:", "---")
     rows = [line for line in text.splitlines() if line.startswith("| single_straight")]
     assert len(rows) == 2

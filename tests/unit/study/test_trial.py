@@ -8,6 +8,7 @@ import scipy.stats
 from study_worlds import Blind, Convoy, Echo, biased, toy_scores
 
 from pmbm.errors import InputError
+from pmbm.intervals import COUNT, MEASURED, SHARE
 from pmbm.study import StepTime, TrialResult, estimate, run_trial, run_trials, summarise
 
 TRACKERS = {"echo": Echo, "biased": biased, "blind": Blind}
@@ -145,6 +146,11 @@ def test_differences_are_paired():
     assert "only_a" not in table.differences["b"]
     assert "a" not in table.differences
     assert summarise(rows, reference="b").differences["a"]["m"].mean == -1.25
+
+
+def test_one_value_in_all_trials_has_no_standard_error():
+    for scale in (MEASURED, SHARE, COUNT):
+        assert estimate([1.0] * 20, scale).sem is None
 
 
 def test_a_sum_of_many_is_exact():
