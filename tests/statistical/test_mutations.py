@@ -14,7 +14,7 @@ def test_every_plant_still_applies():
     for plant in PLANTS:
         text = plant.place(ROOT).read_text(encoding="utf-8")
         ast.parse(text.replace(plant.old, plant.new))
-        file, _, function = plant.by.partition("::")
+        file, *_, function = plant.by.split("::")
         assert f"def {function.partition('[')[0]}(" in Path(ROOT / file).read_text(), plant.name
 
 
