@@ -7,7 +7,8 @@ from importlib import metadata
 from typing import Any
 
 SCHEMA_VERSION = 1
-_PACKAGES = ("pmbm", "numpy", "scipy", "highway-env", "gymnasium", "filterpy")
+_PACKAGES = ("pmbm", "numpy", "scipy", "shapely", "highway-env", "gymnasium", "filterpy")
+"""All whose version can change a trial's number."""
 
 
 def provenance(**parameters: Any) -> dict[str, Any]:
@@ -18,7 +19,7 @@ def provenance(**parameters: Any) -> dict[str, Any]:
     return {
         "schema": SCHEMA_VERSION,
         "parameters": parameters,
-        "versions": {"python": platform.python_version(), **_versions()},
+        "versions": {"python": platform.python_version(), **_versions(*_PACKAGES)},
         "platform": platform_key(),
     }
 
@@ -28,9 +29,17 @@ def platform_key() -> str:
     return f"{platform.system().lower()}-{platform.machine().lower()}"
 
 
-def _versions() -> dict[str, str]:
+def made_with(*more: str) -> str:
+    """The versions of what computes a trial, and of `more` packages, as one sentence for a file's
+    head."""
+    found = {"python": platform.python_version(), **_versions(*_PACKAGES, *more)}
+    return f"Made with {', '.join(f'{name} {version}' for name, version in found.items())}."
+
+
+def _versions(*packages: str) -> dict[str, str]:
+    """Those installed, with their versions."""
     found = {}
-    for package in _PACKAGES:
+    for package in packages:
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

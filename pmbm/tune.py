@@ -171,8 +171,11 @@ def tune(
 ) -> Tuned:
     """The best parameters of a space, by Optuna's tree-structured Parzen estimator.
 
+    Equal arguments give equal results with one version of Optuna: other versions draw otherwise,
+    which no setting of the sampler undoes.
+
     trials : evaluations of the objective, that of the defaults included, which comes first.
-    seed : of the sampler; equal arguments give equal results.
+    seed : of the sampler.
     defaults : the defaults' values, as far as known: where they lie in the space, the search
         learns from them, too.
 

@@ -150,7 +150,8 @@ def _arithmetic() -> str:
 
 
 def _key(content: str, seed: int, trial: int) -> str:
-    parts = json.dumps([_FORMAT, _code_hash(), bits_key(), content, seed, trial])
+    worlds = provenance()["versions"].get("gymnasium")
+    parts = json.dumps([_FORMAT, _code_hash(), bits_key(), worlds, content, seed, trial])
     return hashlib.sha256(parts.encode()).hexdigest()[:32]
 
 

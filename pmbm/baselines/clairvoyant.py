@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 
 from pmbm.door import Door
@@ -97,9 +96,9 @@ def clairvoyant(recording: Recording, config: ClairvoyantConfig | None = None) -
 def _predict(kalman: Any, elapsed: float, config: ClairvoyantConfig) -> None:
     transition = np.eye(4)
     transition[[0, 1], [2, 3]] = elapsed
-    noise = Q_continuous_white_noise(
-        2, elapsed, config.spectral_density, block_size=2, order_by_dim=False
-    )
+    # White acceleration through an interval (Bar-Shalom et al. 2001, Sec. 6.2.2).
+    axis = [[elapsed**3 / 3, elapsed**2 / 2], [elapsed**2 / 2, elapsed]]
+    noise = np.kron(axis, np.eye(2)) * config.spectral_density
     kalman.predict(F=transition, Q=noise)
 
 

@@ -171,9 +171,12 @@ def _header(
     seed: int,
     path: Path,
 ) -> str:
+    from pmbm.provenance import made_with
+
     return (
         f"# Stresses what {tracker} does worst in {scenario}: {metric} "
         f"{sign * finding.value:z.4g}, where {scenario} as it is has {sign * finding.rest:z.4g}.\n"
-        f"# Found by a search, made smaller while it failed.  See it again with\n"
+        f"# Found by a search, made smaller while it failed.  {made_with()}\n"
+        f"# See it again with\n"
         f"#   pmbm run {path} --tracker {tracker} --seed {seed} --trials {trials}\n\n"
     )

@@ -131,6 +131,7 @@ def command(
     from pmbm.cli.tuning import Logged, Simulated
     from pmbm.durable import check_writable, replace_text
     from pmbm.errors import InputError
+    from pmbm.provenance import made_with
     from pmbm.study import ConfiguredTracker
     from pmbm.tune import refuse_reserved_seed, tune
     from sim.toml_door import toml_text
@@ -199,7 +200,7 @@ def command(
         click.echo(line, err=out is None)
     what = f"The {tracker_name} tracker's best of {trials} sets of parameters, seed {seed}."
     document = problem.document(tuned.parameters or present)
-    text = _comment(what, found, verdict, "Made by:") + toml_text(document)
+    text = _comment(what, found, verdict, made_with("optuna"), "Made by:") + toml_text(document)
     if out is None:
         click.echo(text, nl=False)
     else:

@@ -21,7 +21,7 @@ from world import DT, MEASUREMENT_SD
 
 from sim.cache import cache_folder
 
-PACKAGES = ("stonesoup==1.9.1", "motpy==0.0.10", "norfair==2.3.0")
+PACKAGES = ("stonesoup==1.9.1", "motpy==0.0.10", "norfair-enough==2.4.3")
 GATE = 3.0
 
 
