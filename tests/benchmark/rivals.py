@@ -1,7 +1,8 @@
 """Trackers from the package index, on the same detections as ours.
 
-filterpy runs in this process; Stone Soup, motpy and norfair need other versions of numpy, so they
-live in a virtual environment of their own in the cache folder, made when it is missing.
+filterpy runs in this process; Stone Soup, motpy and norfair (its maintained fork, norfair-enough)
+bring many packages of their own, so they live in a virtual environment of their own in the cache
+folder, made when it is missing.
 """
 
 from __future__ import annotations
