@@ -22,6 +22,7 @@ from pmbm.geometry import corners
 from pmbm.provenance import provenance
 from pmbm.types import FloatArray, Recording, Site
 from sim import schema, scripted
+from sim.apart import followed, marked_crashed
 from sim.cache import cached
 from sim.scenario_checks import check_clock, check_sweep
 from sim.scene import Scene
@@ -302,20 +303,42 @@ def simulate(form: schema.ScenarioForm, seed: int, trial: int = 0) -> Scene:
         drivable = tuple(traffic.drivable_area(opened))
         warmup = round(form.warmup * form.simulation_rate)
         paths, poses = traffic.drive(opened, ticks, warmup, world.sensor.max_range, poses)
+        paths = marked_crashed(paths)
         if world.crashes == "refused":
             _refuse_crashes(form.name, seed, trial, opened, paths, form.simulation_rate)
     # Scripted groups come behind every group that a traffic scene may have.
     group = 1000 * GROUP
+    solid = world.overlaps == "refused"
+    tracks: list[Trajectory] = []
     for name, track in world.tracks.items():
         group += GROUP
-        paths += scripted.track_trajectories(
+        tracks += scripted.track_trajectories(
             group, name, track, ticks, form.simulation_rate, streams
         )
+    if solid and tracks:
+        reach = world.sensor.max_range
+        tracks, overlap = followed(tracks, paths, poses, reach, form.simulation_rate)
+        if overlap is not None:
+            tick, first, second = overlap
+            raise InputError(
+                f"scenario '{form.name}' refuses overlaps, and {first.name} and {second.name} "
+                f"overlap (seed {seed}, trial {trial}, t = {tick / form.simulation_rate:g} s)",
+                field="scene.overlaps",
+                hint='say overlaps = "allowed", or keep them apart',
+            )
+    paths += tracks
     if isinstance(world, schema.ScriptedScene):
         for name, births in world.births.items():
             group += GROUP
             paths += scripted.birth_trajectories(
-                group, name, births, poses, world.sensor.max_range, form.simulation_rate, streams
+                group,
+                name,
+                births,
+                poses,
+                world.sensor.max_range,
+                form.simulation_rate,
+                streams,
+                paths if solid else None,
             )
     site = Site(
         occluders=tuple(occluders),

@@ -199,7 +199,7 @@ class Path(Form):
 
 
 class Track(Path, Body):
-    """Objects that move by script, and neither see others nor are seen by drivers."""
+    """Objects that move by script, are not seen by drivers, and brake for what is in their way."""
 
     label: LabelName = "car"
     spawn: NotNegative = 0.0
@@ -230,6 +230,11 @@ class Surroundings(Form):
     sensor: Sensor = Sensor()
     occluders: dict[str, Occluder] = {}
     tracks: dict[str, Track] = {}
+    overlaps: Literal["refused", "allowed"] = Field(
+        default="refused",
+        description="whether scripted objects may drive through each other; where not, births wait "
+        "for a free way, followers brake, and what nevertheless overlaps is an error",
+    )
 
 
 class GymnasiumScene(Surroundings):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 
 import numpy as np
 
 from pmbm.geometry import wrap_angle
 from pmbm.types import FloatArray
+from sim.apart import GAP, first_meeting, in_scene
 from sim.schema import Births, Body, Path, Track
 from sim.streams import Purpose, Streams
-from sim.trajectory import Trajectory
+from sim.trajectory import Trajectory, part
 
 
 def own_stream(streams: Streams, name: str) -> np.random.Generator:
@@ -96,22 +98,26 @@ def birth_trajectories(
     max_range: float,
     tick_rate: int,
     streams: Streams,
+    others: Sequence[Trajectory] | None,
 ) -> list[Trajectory]:
     """Objects born as a Poisson process about the sensor (poses (T,3), one a tick) that go
     straight on.
 
     One dense marked process is thinned, so that a higher rate only adds objects, and a larger
-    share of pop-ups or deaths in mid-range only changes the objects it concerns.
+    share of deaths in mid-range only shortens the lives that it concerns.  A birth whose object
+    would meet another is put off until its way is free; those that a lower rate has too go first.
+
+    others : what is there already; None where objects may meet.
     """
     ticks = len(sensor_pose)
     most = int(2 * DENSEST * ticks / tick_rate) + 50
     marks = own_stream(streams, name).random((most, 9))
     born = np.cumsum(-np.log1p(-marks[:, 0]) / DENSEST)
     found = []
-    for index in np.flatnonzero((marks[:, 1] < births.rate / DENSEST) & (born * tick_rate < ticks)):
+    there = [in_scene(path, sensor_pose, max_range) for path in others or ()]
+    chosen = np.flatnonzero((marks[:, 1] < births.rate / DENSEST) & (born * tick_rate < ticks))
+    for index in chosen[np.argsort(marks[chosen, 1], kind="stable")]:
         _, _, bearing, popup, depth, aim, pace, vanish, life = marks[index]
-        first = int(born[index] * tick_rate)
-        x, y, _ = sensor_pose[first]
         angle = 2 * np.pi * bearing
         if popup < births.popup:
             radius, yaw = max_range * (0.1 + 0.6 * np.sqrt(depth)), 2 * np.pi * aim
@@ -120,25 +126,26 @@ def birth_trajectories(
         speed = births.speed[0] + pace * (births.speed[1] - births.speed[0])
         inward = -radius * np.cos(angle - yaw)
         chord = inward + np.sqrt(inward**2 + max_range**2 - radius**2)
-        alive = ticks - first
+        life_ticks = ticks
         if vanish < births.vanish:
-            alive = min(alive, int((0.2 + 0.6 * life) * chord / speed * tick_rate))
-        if alive < 1:
-            continue
-        path = Path(
-            start=[float(x + radius * np.cos(angle)), float(y + radius * np.sin(angle))],
-            yaw_deg=float(np.rad2deg(yaw)),
-            speed=float(speed),
-        )
-        found.append(
-            _trajectory(
+            life_ticks = int((0.2 + 0.6 * life) * chord / speed * tick_rate)
+        away = radius * np.array([np.cos(angle), np.sin(angle)])
+        for first in range(int(born[index] * tick_rate), ticks, max(tick_rate // 10, 1)):
+            start = sensor_pose[first, :2] + away
+            path = Path(start=start.tolist(), yaw_deg=float(np.rad2deg(yaw)), speed=float(speed))
+            whole = _trajectory(
                 group + int(index),
                 f"{name}:{index}",
                 births,
                 first,
-                *poses(path, alive, tick_rate),
+                *poses(path, ticks - first, tick_rate),
             )
-        )
+            seen = in_scene(whole, sensor_pose, max_range)
+            if others is None or all(first_meeting(seen, other, GAP) is None for other in there):
+                there.append(seen)
+                if life_ticks > 0:
+                    found.append(part(whole, 0, life_ticks))
+                break
     return found
 
 

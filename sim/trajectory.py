@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,18 @@ class Trajectory:
         if len(self.position) < 2:
             return np.zeros_like(self.position)
         return np.asarray(np.gradient(self.position, 1.0 / tick_rate, axis=0, edge_order=1))
+
+
+def part(path: Trajectory, start: int, stop: int) -> Trajectory:
+    """Rows [start, stop) of a path."""
+    rows = slice(start, stop)
+    return replace(
+        path,
+        first=path.first + start,
+        position=path.position[rows],
+        yaw=path.yaw[rows],
+        crashed=path.crashed[rows],
+    )
 
 
 Row = tuple[Trajectory, int, FloatArray]
