@@ -63,7 +63,8 @@ def jackknife_difference(
     lengths = [float(one[length].value or 0.0) for one in first]
     holding = sum(each > 0 for each in lengths)
     if holding < FEWEST:
-        return Difference(value, reason=f"{holding} sequences with objects: no interval")
+        where = f"objects in {holding} of {len(pairs)} sequences, fewer than {FEWEST}"
+        return Difference(value, reason=f"{where}: no interval")
     left = [difference(pairs[:k] + pairs[k + 1 :]) for k in range(len(pairs))]
     without = [each for each in left if each is not None]
     if len(without) < len(left):

@@ -84,7 +84,7 @@ def test_fewer_than_five_sequences_have_no_interval(scored):
     four = jackknife_difference(a[:4], b[:4], "mota")
     assert four.value == pytest.approx(mota(a, range(4)) - mota(b, range(4)))
     assert (four.low, four.high) == (None, None)
-    assert four.reason == "4 sequences with objects: no interval"
+    assert four.reason == "objects in 4 of 4 sequences, fewer than 5: no interval"
     assert jackknife_difference(a[:5], b[:5], "mota").low is not None
 
 
@@ -135,9 +135,9 @@ def test_the_table_and_its_figures(folder, tmp_path, capsys):
     assert less["clairvoyant, no poses"]["difference"] == 0
     # One sequence says nothing of others.
     assert (less["pmbm"]["low"], less["pmbm"]["reason"]) == (
-        *(None, "1 sequences with objects: no interval"),
+        *(None, "objects in 1 of 1 sequences, fewer than 5: no interval"),
     )
-    assert "(1 sequences with objects: no interval) |" in text
+    assert "(objects in 1 of 1 sequences, fewer than 5: no interval) |" in text
 
 
 def test_without_origins_no_object_is_the_clairvoyants(folder, capsys):
