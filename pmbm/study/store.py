@@ -245,11 +245,11 @@ def _reader(file: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(address, uri=True, isolation_level=None)
     try:
         execute(connection, "SELECT 1 FROM sqlite_master")
-    except sqlite3.OperationalError:
-        # In a folder that cannot be written to, SQLite reads only what it is told nobody writes.
+    except sqlite3.Error as error:
         connection.close()
+        # In a folder that cannot be written to, SQLite reads only what it is told nobody writes.
         log = _log(file)
-        if log.exists() and log.stat().st_size:
+        if not isinstance(error, sqlite3.OperationalError) or (log.exists() and log.stat().st_size):
             raise
         connection = sqlite3.connect(f"{address}&immutable=1", uri=True, isolation_level=None)
     return connection

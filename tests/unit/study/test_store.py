@@ -5,6 +5,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -293,7 +294,8 @@ def test_a_closed_store_is_read_without_writing(whole):
     connection = store._reader(whole)
     connection.close()
     text = f"file:{whole}?mode=ro&immutable=1"
-    assert sqlite3.connect(text, uri=True).execute("SELECT count(*) FROM trial").fetchone() == (8,)
+    with closing(sqlite3.connect(text, uri=True)) as connection:
+        assert connection.execute("SELECT count(*) FROM trial").fetchone() == (8,)
 
 
 @pytest.mark.parametrize("size", [0, 1, 100, 4096, 6000, 20000])
