@@ -6,7 +6,7 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-NATIVE := CMakeLists.txt pmbm/native.cpp $(wildcard pmbm/*/*.hpp)
+NATIVE := CMakeLists.txt $(wildcard pmbm/native/*)
 AGAINST ?= HEAD~1
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
@@ -33,7 +33,7 @@ $(STAMP): pyproject.toml Makefile $(NATIVE)
 	[ -x $(BIN)/python ] || $$python -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable '.[test,lint,tune,waymo,argoverse2,dask]'
-	@$(BIN)/python -c 'from pmbm.compiled import native; native or print("Nothing was compiled: the plain filter works, and takes ten times as long. pip install -v -e . says why.")'
+	@$(BIN)/python -c 'from pmbm.kernels import native; native or print("Nothing was compiled: the plain filter works, and takes ten times as long. pip install -v -e . says why.")'
 	@touch $@
 
 demo: $(STAMP)

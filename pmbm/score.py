@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmbm.door import Door
 from pmbm.durable import replace_text
 from pmbm.errors import InputError, nearest_hint
 from pmbm.types import Detections, Label
+from pmbm.validation import Checker, equal_fields
 
 FloatArray = NDArray[np.float64]
 Scale = Literal["score", "raw_score"]
@@ -26,6 +27,7 @@ Scale = Literal["score", "raw_score"]
 _LABELS = len(Label)
 _SURE = 1e-6
 """Probabilities are kept this far from 0 and 1, so that no single score decides for ever."""
+_LEAST_CONFIDENCE = 1e-3
 _SCALES = ("score", "raw_score")
 
 
@@ -52,7 +54,7 @@ class ScoreModel:
     scale: Scale = "score"
 
     def __post_init__(self) -> None:
-        door = Door(self, "score model")
+        door = Checker(self, "score model")
         knots = np.size(self.knot)
         door.floats("knot", (max(knots, 1),))
         door.floats("log_odds", (knots,))
@@ -70,6 +72,8 @@ class ScoreModel:
                 got=self.scale,
                 hint=nearest_hint(self.scale, _SCALES, "scale"),
             )
+
+    __eq__ = equal_fields
 
     def read(self, detections: Detections) -> FloatArray:
         """The scores (N,) on the scale that this model reads.
@@ -105,6 +109,7 @@ class ScoreModel:
         return np.interp(np.asarray(score, dtype=np.float64), self.knot, self.log_odds)
 
     @staticmethod
+    @cache
     def trusting(base_rate: float = 0.5) -> ScoreModel:
         """Takes scores in [0, 1] at their word: q = score."""
         knot = np.concatenate([[0.0], np.linspace(0.001, 0.999, 999), [1.0]])
@@ -116,34 +121,6 @@ class ScoreModel:
     def uninformative() -> ScoreModel:
         """Whatever the score, it says nothing."""
         return ScoreModel(knot=np.zeros(1), log_odds=np.zeros(1), base_rate=0.5)
-
-    @staticmethod
-    def fit_logistic(score: ArrayLike, true: ArrayLike, scale: Scale = "score") -> ScoreModel:
-        """Log-odds linear in the score, by maximum likelihood.
-
-        score (N,), true (N,) : whether each detection came from an object.  Platt's targets
-        (Advances in Large Margin Classifiers, 1999) keep a separable sample finite.
-        """
-        x, y = _sample(score, true)
-        positive, negative = y.sum(), len(y) - y.sum()
-        target = np.where(y > 0, (positive + 1) / (positive + 2), 1 / (negative + 2))
-        spread = max(float(x.std()), 1e-12)
-        design = np.column_stack([np.ones(len(x)), (x - x.mean()) / spread])
-        weight = np.zeros(2)
-        for _ in range(50):
-            q = _logistic(design @ weight)
-            curvature = design.T @ (design * (q * (1 - q))[:, None]) + 1e-9 * np.eye(2)
-            step = np.linalg.solve(curvature, design.T @ (target - q))
-            weight = weight + step
-            if np.abs(step).max() < 1e-10:
-                break
-        knot = np.unique([x.min(), x.max()])
-        return ScoreModel(
-            knot=knot,
-            log_odds=weight[0] + weight[1] * (knot - x.mean()) / spread,
-            base_rate=_base_rate(y),
-            scale=scale,
-        )
 
     @staticmethod
     def fit_isotonic(
@@ -203,6 +180,17 @@ class ScoreModel:
             raise error.located(file=path) from None
 
 
+def confidence_in(detections: Detections, model: ScoreModel | None) -> FloatArray:
+    """(N,) the evidence of each detection's score, kept off 0 and 1; None takes scores at their
+    word.
+
+    Raises InputError as `ScoreModel.read` does.
+    """
+    model = model or ScoreModel.trusting()
+    evidence = model.evidence(model.read(detections))
+    return np.clip(evidence, _LEAST_CONFIDENCE, 1 - _LEAST_CONFIDENCE)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Calibration:
     """Log-odds that a detection is what its label says: linear in its raw score and in its range,
@@ -224,12 +212,14 @@ class Calibration:
     apart: float = 0.8
 
     def __post_init__(self) -> None:
-        door = Door(self, "calibration")
+        door = Checker(self, "calibration")
         for name in ("offset", "slope", "per_metre"):
             door.floats(name, (_LABELS,))
         door.number("near", at_least=0.0)
         door.number("far", above=self.near)
         door.number("apart", at_least=0.0)
+
+    __eq__ = equal_fields
 
     def log_odds(self, detections: Detections) -> FloatArray:
         """(N,) log-odds of every detection, of whatever label.

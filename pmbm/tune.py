@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Final
@@ -103,16 +103,16 @@ _SKELETON: Final[Space] = {
 }
 SPACES: Final[Mapping[str, Space]] = {
     "pmbm": {
-        "survival": Range(0.95, 0.9999),
-        "spectral_density": Range(0.05, 50.0, log=True),
-        "measurement_sd": Range(0.05, 1.5, log=True),
-        "detection_probability": Range(0.5, 0.995),
-        "clutter_rate": Range(0.05, 100.0, log=True),
-        "birth_rate": Range(0.01, 10.0, log=True),
-        "initial_objects": Range(0.1, 100.0, log=True),
-        "birth_speed_sd": Range(1.0, 30.0, log=True),
-        "gate": Range(6.0, 60.0, log=True),
-        "report_above": Range(0.1, 0.9),
+        "survival.probability": Range(0.95, 0.9999),
+        "motion.acceleration_density": Range(0.05, 50.0, log=True),
+        "sensor.position_sd": Range(0.05, 1.5, log=True),
+        "sensor.detection.base.probability": Range(0.5, 0.995),
+        "sensor.clutter_rate": Range(0.05, 100.0, log=True),
+        "birth.rate": Range(0.01, 10.0, log=True),
+        "birth.initial": Range(0.1, 100.0, log=True),
+        "birth.speed_sd": Range(1.0, 30.0, log=True),
+        "reduction.gate": Range(6.0, 60.0, log=True),
+        "report.above": Range(0.1, 0.9),
     },
     "argoverse": _SKELETON,
     "waymo": _SKELETON,
@@ -230,7 +230,7 @@ def parse_space(document: Mapping[str, Any]) -> dict[str, Range | Choice]:
     if not document:
         raise InputError("nothing to tune", expected="a line a parameter")
     space: dict[str, Range | Choice] = {}
-    for name, given in document.items():
+    for name, given in _leaves(document):
         if isinstance(given, list):
             kind: Callable[..., Range | Choice] = Choice
             values = {"values": tuple(given)}
@@ -257,6 +257,19 @@ def parse_space(document: Mapping[str, Any]) -> dict[str, Range | Choice]:
             key = f"{name}.{error.field}" if error.field else name
             raise error.located(field=key) from None
     return space
+
+
+def _leaves(document: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted names and values.  A table of tables and lists alone is no range but holds them, and
+    so does one none of whose keys is a range's."""
+    keys = {field.name for field in fields(Range)}
+    for name, given in document.items():
+        inner = given if isinstance(given, Mapping) else {}
+        holds = all(isinstance(one, Mapping | list) for one in inner.values())
+        if inner and (holds or not keys & inner.keys()):
+            yield from _leaves(inner, f"{path}{name}.")
+        else:
+            yield path + name, given
 
 
 def refuse_reserved_seed(seed: int) -> None:

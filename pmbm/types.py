@@ -24,10 +24,10 @@ from typing import Any, Final, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmbm.door import Door, frozen
 from pmbm.errors import NOT_YET_CONFIRMED, InputError
 from pmbm.geometry import normal_density, normal_in_polygon
 from pmbm.labels import Label
+from pmbm.validation import Checker, frozen
 
 __all__ = [
     "ABSENT",
@@ -84,7 +84,7 @@ class Detections:
     raw_score: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        door = Door(self, "detections")
+        door = Checker(self, "detections")
         door.time()
         n = door.rows("position", 3)
         door.boxes(n)
@@ -147,7 +147,7 @@ class GroundTruth:
     crashed: BoolArray
 
     def __post_init__(self) -> None:
-        door = Door(self, "ground truth")
+        door = Checker(self, "ground truth")
         door.time()
         n = door.rows("position", 3)
         door.ids(n)
@@ -181,7 +181,7 @@ class GaussianMixture:
     cov: FloatArray
 
     def __post_init__(self) -> None:
-        door = Door(self, "Gaussian mixture")
+        door = Checker(self, "Gaussian mixture")
         n = door.rows("mean", 4)
         door.floats("cov", (n, 4, 4))
         door.floats("log_weight", (n,), allow_minus_inf=True)
@@ -245,7 +245,7 @@ class Tracks:
     undetected: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
-        door = Door(self, "tracks")
+        door = Checker(self, "tracks")
         door.time()
         n = door.rows("position", 3)
         door.ids(n)
@@ -298,7 +298,7 @@ class TrackSequence(Sequence[Tracks]):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "steps", tuple(self.steps))
-        door = Door(self, "track sequence")
+        door = Checker(self, "track sequence")
         door.ints("frame", (len(self.steps),))
         if len(self.frame) and (self.frame[0] < 0 or np.any(np.diff(self.frame) <= 0)):
             raise InputError(
@@ -342,7 +342,7 @@ class Site:
     drivable_area: tuple[FloatArray, ...] | None = None
 
     def __post_init__(self) -> None:
-        door = Door(self, "site")
+        door = Checker(self, "site")
         object.__setattr__(self, "occluders", door.polygons("occluders", self.occluders))
         if self.drivable_area is not None:
             object.__setattr__(
@@ -384,7 +384,7 @@ class Recording:
         object.__setattr__(self, "detections", tuple(self.detections))
         object.__setattr__(self, "object_name", MappingProxyType(dict(self.object_name)))
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
-        door = Door(self, f"recording '{self.name}'")
+        door = Checker(self, f"recording '{self.name}'")
         door.ints("frame", (len(self.detections),))
         door.ints("stamp", (len(self.truth),))
         outside = np.flatnonzero((self.frame < 0) | (self.frame >= len(self.truth)))
@@ -495,7 +495,7 @@ def _take(value: _Table, rows: ArrayLike) -> _Table:
     return type(value)(**picked)
 
 
-def vouched(kind: type[_Table], **values: Any) -> _Table:
+def unchecked(kind: type[_Table], **values: Any) -> _Table:
     """A value made without the checks, by code that has made sure of all that they would find.
 
     All fields are given, with their final types; arrays are handed over, not copied, and become

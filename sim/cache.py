@@ -158,10 +158,10 @@ def _key(content: str, seed: int, trial: int) -> str:
 @functools.cache
 def _code_hash() -> str:
     """Of every source file that a scene may depend on."""
-    from pmbm import door, geometry, labels, types
+    from pmbm import geometry, labels, types, validation
 
     files = sorted(Path(__file__).parent.glob("*.py"))
-    files += [Path(str(module.__file__)) for module in (door, geometry, labels, types)]
+    files += [Path(str(module.__file__)) for module in (geometry, labels, types, validation)]
     hasher = hashlib.sha256()
     for file in files:
         hasher.update(file.name.encode() + file.read_bytes())

@@ -13,13 +13,10 @@ from pmbm.errors import InputError
 from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
 from pmbm.types import CLUTTER, FloatArray, IntArray, Site
+from pmbm.validation import NOT_NEGATIVE, POSITIVE, SHARE, Bounds, check_fields
 from sim.boxes import TYPICAL_SIZE, Boxes, concatenate, in_view, polar
 from sim.knobs import (
     NO_UNKNOWN_KEYS,
-    NOT_NEGATIVE,
-    POSITIVE,
-    SHARE,
-    Bound,
     Curve,
     NamedLabel,
     NumberOrCurve,
@@ -28,7 +25,6 @@ from sim.knobs import (
     SizeCorrelation,
     Spread,
     by_label,
-    check_bounds,
     check_correlation,
     drawn_label,
     without_proxies,
@@ -91,7 +87,7 @@ class FalseBoxes:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "echo", by_label("echo", self.echo))
-        check_bounds(self)
+        check_fields(self, "clutter model")
         check_correlation("size_correlation", self.size_correlation)
         if self.aligned_share + self.across_share > 1.0:
             raise InputError(
@@ -128,7 +124,7 @@ class ClutterModel(FalseBoxes):
 
     rate: Annotated[float, NOT_NEGATIVE] = 0.0
     persistent_share: Annotated[float, SHARE] = 0.0
-    persistent_detection: Annotated[float, Bound(most=1.0, above=0.0)] = 0.8
+    persistent_detection: Annotated[float, Bounds(most=1.0, above=0.0)] = 0.8
     persistent_noise: Annotated[float, NOT_NEGATIVE] = 0.3
     persistent_yaw_noise: Annotated[float, NOT_NEGATIVE] = 0.1
     labels: Annotated[Mapping[NamedLabel, float], NOT_NEGATIVE] = field(default_factory=_cars)

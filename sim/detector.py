@@ -19,16 +19,14 @@ from scipy import special
 from pmbm.errors import InputError, nearest_hint
 from pmbm.labels import Label
 from pmbm.types import Detections, FloatArray, IntArray, Recording
+from pmbm.validation import POSITIVE, Bounds, check_fields
 from sim.boxes import Boxes, Targets, concatenate, targets
 from sim.calibration import reliability
 from sim.clutter import ClutterModel, FalseBoxes, clutter
 from sim.knobs import (
     NO_UNKNOWN_KEYS,
-    POSITIVE,
-    Bound,
     Curve,
     NamedLabel,
-    check_bounds,
     without_proxies,
 )
 from sim.objects import ObjectModel, sense
@@ -60,12 +58,12 @@ class DetectorModel:
     clutter: ClutterModel = field(default_factory=ClutterModel)
     sensor: SensorModel = field(default_factory=SensorModel)
     score_temperature: Annotated[float, POSITIVE] = 1.0
-    score_offset: Annotated[float, Bound()] = 0.0
-    score_floor: Annotated[float, Bound(0.0, 0.99)] = 0.0
+    score_offset: Annotated[float, Bounds()] = 0.0
+    score_floor: Annotated[float, Bounds(0.0, 0.99)] = 0.0
     provenance: str = ""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_fields(self, "detector model")
         ordered = {Label(label): self.label[label] for label in sorted(self.label)}
         object.__setattr__(self, "label", MappingProxyType(ordered))
 

@@ -8,65 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from types import MappingProxyType
-from typing import Annotated, Any, Final, get_args, get_type_hints
+from typing import Annotated, Any, Final
 
 import numpy as np
 
 from pmbm.errors import InputError, nearest_hint
 from pmbm.labels import Label
 from pmbm.types import FloatArray, IntArray
-
-
-@dataclass(frozen=True)
-class Bound:
-    """Closed bounds of a number, or of every value of a curve; `above` is an open lower bound."""
-
-    least: float = -np.inf
-    most: float = np.inf
-    above: float = -np.inf
-
-    def holds(self, number: float) -> bool:
-        return self.least <= number <= self.most and number > self.above and np.isfinite(number)
-
-    def __str__(self) -> str:
-        if np.isfinite(self.above):
-            low = f"above {self.above:g}"
-        elif np.isfinite(self.least):
-            low = f"at least {self.least:g}"
-        else:
-            low = "finite"
-        return low + (f" and at most {self.most:g}" if np.isfinite(self.most) else "")
-
-    def __get_pydantic_json_schema__(
-        self, schema: Any, handler: Callable[[Any], dict[str, Any]]
-    ) -> dict[str, Any]:
-        described = handler(schema)
-        if described.get("type") in ("number", "integer"):
-            for keyword, limit in (
-                ("minimum", self.least),
-                ("maximum", self.most),
-                ("exclusiveMinimum", self.above),
-            ):
-                if np.isfinite(limit):
-                    described[keyword] = limit
-        return described
-
-
-SHARE = Bound(0.0, 1.0)
-NOT_NEGATIVE = Bound(0.0)
-POSITIVE = Bound(above=0.0)
+from pmbm.validation import POSITIVE, SHARE, Bounds
 
 Size = Annotated[tuple[float, float, float], POSITIVE]
 """Length, width, height, m."""
-Spread = Annotated[tuple[float, float, float], Bound(0.0, 0.5)]
+Spread = Annotated[tuple[float, float, float], Bounds(0.0, 0.5)]
 """Relative standard deviations of length, width, height."""
-SizeCorrelation = Annotated[float | tuple[float, float, float], Bound(-0.999, 0.999)]
+SizeCorrelation = Annotated[float | tuple[float, float, float], Bounds(-0.999, 0.999)]
 """One for every two of length, width, height; or that of length with width, of length with height
 and of width with height."""
 Row = tuple[float, float, float]
-SizeResponse = Annotated[tuple[Row, Row, Row], Bound(-2.0, 2.0)]
+SizeResponse = Annotated[tuple[Row, Row, Row], Bounds(-2.0, 2.0)]
 """Rows for the box's length, width, height; columns for the object's."""
 
 
@@ -102,6 +62,10 @@ class Curve:
     def __call__(self, x: FloatArray) -> FloatArray:
         """The values at x, of the same shape."""
         return np.interp(x, self.at, self.value)
+
+    def numbers(self) -> tuple[float, ...]:
+        """The values, for the bounds of a field."""
+        return self.value
 
     @classmethod
     def constant(cls, value: float) -> Curve:
@@ -172,29 +136,6 @@ Shares = Annotated[Mapping[NamedLabel, float], SHARE]
 """A probability for each of some labels."""
 
 
-def check_bounds(knobs: Any) -> None:
-    """Refuse a dataclass one of whose annotated bounds does not hold.
-
-    Raises InputError with the field's name.
-    """
-    kind: type = type(knobs)
-    for name, bound in _bounds(kind).items():
-        given = getattr(knobs, name)
-        if given is None:
-            continue
-        if isinstance(given, Curve):
-            numbers: list[Any] = list(given.value)
-        elif isinstance(given, tuple):
-            numbers = [n for part in given for n in (part if isinstance(part, tuple) else (part,))]
-        elif isinstance(given, Mapping):
-            numbers = list(given.values())
-        else:
-            numbers = [given]
-        for number in numbers:
-            if not bound.holds(number):
-                raise InputError(f"impossible {name}", field=name, expected=str(bound), got=number)
-
-
 def check_correlation(field: str, correlation: float | tuple[float, float, float]) -> None:
     """Refuse what no three quantities can have for correlations.
 
@@ -240,18 +181,6 @@ def drawn_label(shares: Mapping[Label, float], draw: FloatArray) -> IntArray:
     names = np.array([*map(int, shares), -1])
     chosen: IntArray = names[np.searchsorted(np.cumsum(list(shares.values())), draw, side="right")]
     return chosen
-
-
-@cache
-def _bounds(kind: type) -> dict[str, Bound]:
-    hints = get_type_hints(kind, include_extras=True)
-    return {
-        name: extra
-        for name in hints
-        for form in (hints[name], *get_args(hints[name]))
-        for extra in getattr(form, "__metadata__", ())
-        if isinstance(extra, Bound)
-    }
 
 
 def _number_or_table(given: Any, read_table: Callable[[Any], Curve]) -> Curve:

@@ -11,14 +11,11 @@ from numpy.typing import NDArray
 from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
 from pmbm.types import FloatArray, IntArray
+from pmbm.validation import NOT_NEGATIVE, POSITIVE, SHARE, Bounds, check_fields
 from sim.boxes import TYPICAL_SIZE, Boxes, Targets, concatenate
 from sim.clutter import ClutterModel, look_alike
 from sim.knobs import (
     NO_UNKNOWN_KEYS,
-    NOT_NEGATIVE,
-    POSITIVE,
-    SHARE,
-    Bound,
     Curve,
     NumberOrCurve,
     Shares,
@@ -26,7 +23,6 @@ from sim.knobs import (
     SizeCorrelation,
     SizeResponse,
     by_label,
-    check_bounds,
     check_correlation,
     drawn_label,
     without_proxies,
@@ -96,7 +92,7 @@ class ObjectModel:
     detection_probability: Annotated[NumberOrCurve, SHARE] = _ONE
     visibility_factor: Annotated[NumberOrCurve, SHARE] = _ONE
     visibility_odds: Annotated[NumberOrCurve, POSITIVE] = _ONE
-    miss_burst_length: Annotated[float, Bound(1.0)] = 1.0
+    miss_burst_length: Annotated[float, Bounds(1.0)] = 1.0
     radial_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     lateral_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     vertical_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
@@ -104,8 +100,8 @@ class ObjectModel:
     hidden_noise: Annotated[float, NOT_NEGATIVE] = 0.0
     size_pull: Annotated[NumberOrCurve, SHARE] = _ZERO
     typical_size: Size | None = None
-    size_bias: Annotated[float, Bound(-0.8, 4.0)] = 0.0
-    hidden_size_bias: Annotated[float, Bound(-0.8, 4.0)] = 0.0
+    size_bias: Annotated[float, Bounds(-0.8, 4.0)] = 0.0
+    hidden_size_bias: Annotated[float, Bounds(-0.8, 4.0)] = 0.0
     size_response: SizeResponse | None = None
     near_side_anchor: Annotated[float, SHARE] = 0.0
     facing_anchor: Annotated[NumberOrCurve, SHARE] = _ZERO
@@ -116,12 +112,12 @@ class ObjectModel:
     lasting_size_error: Annotated[float, SHARE] = 0.0
     yaw_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     flip_probability: Annotated[float, SHARE] = 0.0
-    error_persistence: Annotated[float, Bound(0.0, 0.999)] = 0.0
-    score_persistence: Annotated[float, Bound(0.0, 0.999)] = 0.0
+    error_persistence: Annotated[float, Bounds(0.0, 0.999)] = 0.0
+    score_persistence: Annotated[float, Bounds(0.0, 0.999)] = 0.0
     score_mean: Annotated[NumberOrCurve, SHARE] = _SURE
     hidden_score_loss: Annotated[float, SHARE] = 0.0
     score_concentration: Annotated[float, POSITIVE] = 100.0
-    quality_coupling: Annotated[float, Bound(0.0, 2.0)] = 0.0
+    quality_coupling: Annotated[float, Bounds(0.0, 2.0)] = 0.0
     confusion: Shares = field(default_factory=dict)
     echo: Shares = field(default_factory=dict)
     duplicate_probability: Annotated[float, SHARE] = 0.0
@@ -131,7 +127,7 @@ class ObjectModel:
     def __post_init__(self) -> None:
         for name in ("confusion", "echo"):
             object.__setattr__(self, name, by_label(name, getattr(self, name)))
-        check_bounds(self)
+        check_fields(self, "detector model")
         check_correlation("size_correlation", self.size_correlation)
 
     def __reduce__(self) -> tuple[Any, ...]:

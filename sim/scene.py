@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmbm.door import Door
 from pmbm.errors import InputError
 from pmbm.geometry import corners, visible_fraction, wrap_angle
 from pmbm.types import BoolArray, FloatArray, GroundTruth, IntArray, Recording, Site
+from pmbm.validation import Checker
 
 OBSERVABLE_SHARE = 0.1
 """An object less visible than this share counts as hidden."""
@@ -46,7 +46,7 @@ class Scene:
         object.__setattr__(self, "truth", tuple(self.truth))
         object.__setattr__(self, "object_name", MappingProxyType(dict(self.object_name)))
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
-        door = Door(self, f"scene '{self.name}'")
+        door = Checker(self, f"scene '{self.name}'")
         door.number("rate", above=0.0)
         door.floats("sensor_pose", (len(self.truth), 3))
         door.ints("stamp", (len(self.truth),))

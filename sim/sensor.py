@@ -9,8 +9,9 @@ import numpy as np
 
 from pmbm.geometry import wrap_angle
 from pmbm.types import BoolArray, FloatArray, IntArray
+from pmbm.validation import NOT_NEGATIVE, SHARE, Bounds, check_fields
 from sim.boxes import Boxes, polar
-from sim.knobs import NO_UNKNOWN_KEYS, NOT_NEGATIVE, SHARE, Bound, check_bounds
+from sim.knobs import NO_UNKNOWN_KEYS
 from sim.scene import Scene
 from sim.streams import Purpose, Streams, normal
 
@@ -31,17 +32,17 @@ class SensorModel:
 
     outage_start: Annotated[float, NOT_NEGATIVE] = 5.0
     outage_duration: Annotated[float, NOT_NEGATIVE] = 0.0
-    outage_centre: Annotated[float, Bound()] = 0.0
-    outage_half_angle: Annotated[float, Bound(0.0, float(np.pi))] = float(np.pi)
+    outage_centre: Annotated[float, Bounds()] = 0.0
+    outage_half_angle: Annotated[float, Bounds(0.0, float(np.pi))] = float(np.pi)
     drop_probability: Annotated[float, SHARE] = 0.0
     late_probability: Annotated[float, SHARE] = 0.0
-    late_by: Annotated[int, Bound(1)] = 2
+    late_by: Annotated[int, Bounds(1)] = 2
     time_jitter: Annotated[float, NOT_NEGATIVE] = 0.0
     ego_position_noise: Annotated[float, NOT_NEGATIVE] = 0.0
     ego_yaw_noise: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        check_fields(self, "sensor")
 
 
 SensorModel.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]

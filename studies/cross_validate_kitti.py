@@ -1,6 +1,6 @@
 """What an option of the KITTI preset is worth on the sequences for tuning, cross-validated.
 
-    python studies/cross_validate_kitti.py KITTI [--mode batch] [Car.levels.drift=1.0 ...]
+    python studies/cross_validate_kitti.py KITTI [--mode batch] [Car.scores.drift=1.0 ...]
 
 Threefold: what scores and misses say is fitted to two thirds of the sequences, the third is tracked
 with it, and each class is scored over all three.  The fit is that of the preset as it ships, made

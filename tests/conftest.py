@@ -18,15 +18,15 @@ settings.load_profile("everyday")
 @pytest.fixture(scope="module", params=["reference", "compiled"])
 def assignment_kernel(request):
     """Runs a module's tests once over what is compiled and once over its plain twins."""
-    from pmbm import compiled
+    from pmbm import kernels
 
-    chosen = compiled.native
+    chosen = kernels.native
     if request.param == "compiled":
-        compiled.native = pytest.importorskip("pmbm._native", reason="installed without a compiler")
+        kernels.native = pytest.importorskip("pmbm._native", reason="installed without a compiler")
     else:
-        compiled.native = None
+        kernels.native = None
     yield request.param
-    compiled.native = chosen
+    kernels.native = chosen
 
 
 def pytest_addoption(parser):

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmbm.filter import Levels
-from pmbm.score import Calibration
+from pmbm.filter import DetectionChain, FixedDetection, ScoreLevels
+from pmbm.score import Calibration, ScoreModel
 from pmbm.types import CLUTTER, Detections, GroundTruth, Label, Recording, Site
 
 PLAIN = Calibration(offset=np.zeros(7), slope=np.ones(7), per_metre=np.zeros(7))
 
 
 def levels(**changes):
-    return Levels(
+    return ScoreLevels(
         **{
             "label": Label.CAR,
             "calibration": PLAIN,
@@ -24,6 +24,11 @@ def levels(**changes):
             **changes,
         }
     )
+
+
+def chained(P_D, **chain):
+    """Misses in runs around one P_D."""
+    return DetectionChain(base=FixedDetection(probability=P_D), **chain)
 
 
 def frame(when, xy, raw=None, label=Label.CAR, score=0.5):
@@ -77,4 +82,32 @@ def street(seed, frames=60, poles=6, cars=4):
         origin=tuple(origin),
         object_name={i: str(i) for i in range(cars)},
         provenance={},
+    )
+
+
+def fit_logistic(score, true, scale="score"):
+    """A score model whose log-odds are linear in the score, by maximum likelihood.
+
+    Platt's targets (Advances in Large Margin Classifiers, 1999) keep a separable sample finite.
+    """
+    x, y = np.asarray(score, np.float64), np.asarray(true, np.float64)
+    positive, negative = y.sum(), len(y) - y.sum()
+    target = np.where(y > 0, (positive + 1) / (positive + 2), 1 / (negative + 2))
+    spread = max(float(x.std()), 1e-12)
+    design = np.column_stack([np.ones(len(x)), (x - x.mean()) / spread])
+    weight = np.zeros(2)
+    for _ in range(50):
+        with np.errstate(over="ignore"):
+            q = 1.0 / (1.0 + np.exp(-(design @ weight)))
+        curvature = design.T @ (design * (q * (1 - q))[:, None]) + 1e-9 * np.eye(2)
+        step = np.linalg.solve(curvature, design.T @ (target - q))
+        weight = weight + step
+        if np.abs(step).max() < 1e-10:
+            break
+    knot = np.unique([x.min(), x.max()])
+    return ScoreModel(
+        knot=knot,
+        log_odds=weight[0] + weight[1] * (knot - x.mean()) / spread,
+        base_rate=ScoreModel.fit_isotonic(score, true).base_rate,
+        scale=scale,
     )

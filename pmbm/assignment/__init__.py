@@ -19,13 +19,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmbm import compiled
+from pmbm import kernels
 from pmbm.assignment import reference
 from pmbm.errors import InputError
 
@@ -97,7 +96,7 @@ def k_best_batch(costs: Sequence[ArrayLike], ks: Sequence[int]) -> list[Solution
     _check_costs(flat, matrices)
     rows, widths = np.array([matrix.shape for matrix in matrices], dtype=np.int32).T.copy()
     wanted = np.array([_checked_k(k, problem) for problem, k in enumerate(ks)], dtype=np.int64)
-    columns, totals, counts = _kernel().k_best(flat, rows, widths, wanted)
+    columns, totals, counts = reference.k_best(flat, rows, widths, wanted)
     solutions = []
     column, total = 0, 0
     for height, count in zip(rows.tolist(), counts.tolist(), strict=True):
@@ -152,7 +151,7 @@ def k_best_choices(
     their problem.
     """
     _check_options(row, column, cost, first_row, first_column)
-    count, total, way, option = _kernel().k_best_choices(
+    count, total, way, option = reference.k_best_choices(
         row, column, cost, first_row, first_column, ks, margin
     )
     return Choices(np.repeat(np.arange(len(ks)), count), total, way, option)
@@ -189,11 +188,7 @@ def _check_options(
 
 def kernel() -> Literal["compiled", "reference"]:
     """Which of the two kernels runs."""
-    return "reference" if compiled.native is None else "compiled"
-
-
-def _kernel() -> ModuleType:
-    return compiled.native or reference
+    return "reference" if kernels.native is None else "compiled"
 
 
 def _matrix(cost: ArrayLike, problem: int) -> NDArray[np.float64]:

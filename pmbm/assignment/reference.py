@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from pmbm.assignment.enumeration import Problems, Ways, enumerate_ways
+from pmbm.kernels import twin
 
 _ENUMERATE_UP_TO = 256
 """Ways of one problem; above, the K best are found by assignment instead of listing them all."""
@@ -36,6 +37,7 @@ class _Node(NamedTuple):
     forbidden: frozenset[int]
 
 
+@twin("k_best")
 def k_best(
     cost: NDArray[np.float64],
     rows: NDArray[np.int32],
@@ -61,6 +63,7 @@ def k_best(
     )
 
 
+@twin("k_best_choices")
 def k_best_choices(
     row: NDArray[np.int64],
     column: NDArray[np.int64],

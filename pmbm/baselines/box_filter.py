@@ -15,10 +15,10 @@ from typing import Any, Final
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from pmbm.door import Door
 from pmbm.errors import InputError
 from pmbm.geometry import wrap_angle
 from pmbm.types import Detections, FloatArray, GroundTruth
+from pmbm.validation import Checker
 
 BOX: Final = 7
 """Measured components: x, y, z, yaw, length, width, height."""
@@ -41,7 +41,7 @@ class BoxNoise:
     measurement: FloatArray
 
     def __post_init__(self) -> None:
-        door = Door(self, "box noise")
+        door = Checker(self, "box noise")
         states = np.size(self.initial)
         door.floats("initial", (states,))
         door.floats("process", (states,))

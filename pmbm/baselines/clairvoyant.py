@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from pmbm.door import Door
 from pmbm.errors import InputError
 from pmbm.types import (
     CLUTTER,
@@ -18,6 +17,7 @@ from pmbm.types import (
     Tracks,
     TrackSequence,
 )
+from pmbm.validation import Checker
 
 _MEASURED: Final = np.eye(2, 4)
 
@@ -26,18 +26,18 @@ _MEASURED: Final = np.eye(2, 4)
 class ClairvoyantConfig:
     """The Gaussian model of the clairvoyant; to bound a filter, give it that filter's values.
 
-    spectral_density : of the white acceleration, m^2/s^3.
-    measurement_sd : of a detected position, per axis, m.
+    acceleration_density : of the white acceleration, m^2/s^3.
+    position_sd : of a detected position, per axis, m.
     birth_velocity_sd : per axis, m/s.
     """
 
-    spectral_density: float = 2.0
-    measurement_sd: float = 0.3
+    acceleration_density: float = 2.0
+    position_sd: float = 0.3
     birth_velocity_sd: float = 10.0
 
     def __post_init__(self) -> None:
-        door = Door(self, type(self).__name__)
-        for name in ("spectral_density", "measurement_sd", "birth_velocity_sd"):
+        door = Checker(self, type(self).__name__)
+        for name in ("acceleration_density", "position_sd", "birth_velocity_sd"):
             door.number(name, above=0.0)
 
 
@@ -98,7 +98,7 @@ def _predict(kalman: Any, elapsed: float, config: ClairvoyantConfig) -> None:
     transition[[0, 1], [2, 3]] = elapsed
     # White acceleration through an interval (Bar-Shalom et al. 2001, Sec. 6.2.2).
     axis = [[elapsed**3 / 3, elapsed**2 / 2], [elapsed**2 / 2, elapsed]]
-    noise = np.kron(axis, np.eye(2)) * config.spectral_density
+    noise = np.kron(axis, np.eye(2)) * config.acceleration_density
     kalman.predict(F=transition, Q=noise)
 
 
@@ -117,8 +117,8 @@ def _look(
     kalman = KalmanFilter(4, 2)
     kalman.x[:2, 0] = place
     kalman.H = _MEASURED
-    kalman.R = np.eye(2) * config.measurement_sd**2
-    kalman.P = np.diag(np.repeat([config.measurement_sd**2, config.birth_velocity_sd**2], 2))
+    kalman.R = np.eye(2) * config.position_sd**2
+    kalman.P = np.diag(np.repeat([config.position_sd**2, config.birth_velocity_sd**2], 2))
     known[object_id] = _Known(kalman, detections, row)
 
 

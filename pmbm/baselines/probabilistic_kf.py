@@ -22,10 +22,10 @@ from pmbm.baselines.box_filter import (
     measured_boxes,
 )
 from pmbm.baselines.lifecycle import BoxTracker, Lifecycle
-from pmbm.door import Door
 from pmbm.errors import InputError, nearest_hint
 from pmbm.geometry import wrap_angle
 from pmbm.types import CLUTTER, Detections, FloatArray, Label, Recording, Tracks
+from pmbm.validation import Checker
 
 _STATES: Final = 11
 _LEAST: Final = 30
@@ -85,7 +85,7 @@ class ProbabilisticKFConfig:
     noise: Mapping[Label, BoxNoise] | Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        door = Door(self, type(self).__name__)
+        door = Checker(self, type(self).__name__)
         for name in ("min_score", "report_above"):
             door.number(name, at_least=0.0, at_most=1.0)
         door.count("min_hits", at_least=1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pmbm.baselines.association import hungarian_iou
 from pmbm.baselines.box_filter import BoxNoise
 from pmbm.baselines.lifecycle import BoxTracker, Lifecycle
-from pmbm.door import Door
+from pmbm.validation import Checker
 
 _POSITIVE = (
     "max_age",
@@ -49,7 +49,7 @@ class SkeletonConfig:
     measurement_variance: float = 1.0
 
     def __post_init__(self) -> None:
-        door = Door(self, type(self).__name__)
+        door = Checker(self, type(self).__name__)
         for name in ("min_score", "report_above"):
             door.number(name, at_least=0.0, at_most=1.0)
         door.number("iou_gate", above=0.0, at_most=1.0)

@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-_COMMANDS = {
+COMMANDS = {
     "scenarios": "What ships, one line each; or one scenario in full.",
     "run": "One or a few trials of a scenario: a table and an HTML replay.",
     "picture": "One frame of a trial, or its error over time, as SVG or PNG.",
@@ -41,10 +41,10 @@ class _LazyGroup(click.Group):
     """A group that knows its commands' names and help without importing them."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_COMMANDS)
+        return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in _COMMANDS:
+        if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"pmbm.cli.{cmd_name.replace('-', '_')}")
         command: click.Command = module.command
@@ -55,15 +55,15 @@ class _LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         from pmbm.errors import InputError, nearest_hint
 
-        if args and not args[0].startswith("-") and args[0] not in _COMMANDS:
+        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
             raise InputError(
-                f"no command '{args[0]}'", hint=nearest_hint(args[0], _COMMANDS, "command")
+                f"no command '{args[0]}'", hint=nearest_hint(args[0], COMMANDS, "command")
             )
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl(list(_COMMANDS.items()))
+            formatter.write_dl(list(COMMANDS.items()))
 
 
 def _print_version(ctx: click.Context, _param: click.Parameter, value: bool) -> None:

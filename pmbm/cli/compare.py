@@ -142,7 +142,8 @@ def _configured(
 ) -> dict[str, dict[Label, ConfiguredTracker]]:
     """Every tracker for every class; bounds have the model of what ships for our own tracker."""
     from pmbm.cli.track import class_trackers, preset
-    from pmbm.filter import PMBMTracker
+    from pmbm.errors import InputError
+    from pmbm.filter import ConstantVelocity, PMBMTracker
     from pmbm.study import ConfiguredTracker
     from pmbm.tracking import SHIPPED_BOUNDS
     from pmbm.types import Site
@@ -154,9 +155,16 @@ def _configured(
     def bound(name: str, like: ConfiguredTracker) -> ConfiguredTracker:
         tracker = like(Site())
         assert isinstance(tracker, PMBMTracker)
-        same = ("spectral_density", "measurement_sd")
-        model = tuple((key, getattr(tracker.config, key)) for key in same)
-        return ConfiguredTracker(name, model)
+        motion = tracker.config.motion
+        if not isinstance(motion, ConstantVelocity):
+            raise InputError(
+                f"the bound '{name}' moves with constant velocity", got=type(motion).__name__
+            )
+        model = {
+            "acceleration_density": motion.acceleration_density,
+            "position_sd": tracker.config.sensor.position_sd,
+        }
+        return ConfiguredTracker(name, tuple(model.items()))
 
     chosen = names or ("pmbm", "argoverse", "waymo", "probabilistic_kf", "clairvoyant")
     return {

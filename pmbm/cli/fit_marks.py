@@ -14,7 +14,7 @@ from pmbm.cli.track import FOLDER
 
 if TYPE_CHECKING:
     from pmbm.datasets import Dataset
-    from pmbm.filter import Levels, PMBMConfig
+    from pmbm.filter import PMBMConfig, ScoreLevels
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 
@@ -68,6 +68,7 @@ def command(
     from pmbm.cli.track import class_trackers, preset
     from pmbm.datasets import open_dataset
     from pmbm.durable import replace_text
+    from pmbm.study.configured import nested
     from pmbm.tune import refuse_reserved_sequences
     from sim.toml_door import toml_text
 
@@ -77,14 +78,14 @@ def command(
     )
     trackers = class_trackers(dataset, "pmbm", config or preset(dataset_name, "pmbm"))
     given = {
-        name: dict(trackers[label].parameters)
+        name: nested(dict(trackers[label].parameters))
         for name, label in zip(dataset.classes, trackers, strict=True)
     }
     fitted = _fitted(dataset, list(dict.fromkeys(sequences)), together, given)
     note = (
         "# The PMBM tracker's parameters, a table for each class.\n"
-        f"# visibility, detection_probability and levels: by pmbm fit-marks {dataset_name}, "
-        f"sequences\n# {' '.join(sequences)}"
+        f"# sensor.detection and scores: by pmbm fit-marks {dataset_name}, sequences\n"
+        f"# {' '.join(sequences)}"
         + (f";\n# what scores say is shared by {' and '.join(together)}.\n" if together else ".\n")
     )
     replace_text(out, note + toml_text(fitted))
@@ -100,8 +101,8 @@ def _fitted(
     """Each class's parameters with what was fitted in their place."""
     from pmbm.datasets import with_origins
     from pmbm.errors import InputError, nearest_hint
-    from pmbm.filter.fitting import fit_marks
-    from pmbm.filter.fitting_runs import fit_visibility, runs
+    from pmbm.fitting.detection_chain import fit_detection_chain, runs
+    from pmbm.fitting.score_levels import fit_marks
     from pmbm.study.configured import ConfiguredTracker
     from pmbm.types import Label, Site
 
@@ -119,11 +120,10 @@ def _fitted(
     configs: dict[Label, PMBMConfig] = {}
     result: dict[str, Any] = {}
     for name, label in labels.items():
-        P_D, chain = fit_visibility(runs(recordings, label))
-        own = {key: value for key, value in given[name].items() if key not in ("kinds", "levels")}
-        own["detection_probability"] = _short(P_D)
-        own["visibility"] = {
-            part: _short(getattr(chain, part)) for part in ("unseen", "stay_seen", "stay_unseen")
+        own = {key: value for key, value in given[name].items() if key != "scores"}
+        own["sensor"] = {
+            **own.get("sensor", {}),
+            "detection": _chain(fit_detection_chain(runs(recordings, label))),
         }
         made: Any = ConfiguredTracker("pmbm", tuple(own.items()))(Site())
         configs[label], result[name] = made.config, own
@@ -132,12 +132,22 @@ def _fitted(
     levels = fit_marks(recordings, groups, configs, unjudged)
     for name, label in labels.items():
         # Fitted as if levels lasted: how they drift is for a tracker to be tuned by.
-        drift = given[name].get("levels", {}).get("drift", 0.0)
-        result[name]["levels"] = _table(replace(levels[label], drift=drift))
+        drift = given[name].get("scores", {}).get("drift", 0.0)
+        result[name]["scores"] = _levels(replace(levels[label], drift=drift))
     return result
 
 
-def _table(levels: Levels) -> dict[str, Any]:
+def _chain(chain: Any) -> dict[str, Any]:
+    """As a file has it."""
+    shares = ("undetectable", "stay_detectable", "stay_undetectable")
+    return {
+        "kind": "chain",
+        **{name: _short(getattr(chain, name)) for name in shares},
+        "base": {"kind": "fixed", "probability": _short(chain.base.probability)},
+    }
+
+
+def _levels(levels: ScoreLevels) -> dict[str, Any]:
     """As a file has it, to the digits that tell."""
     calibration = levels.calibration
     births: dict[str, Any] = (
@@ -149,6 +159,7 @@ def _table(levels: Levels) -> dict[str, Any]:
         }
     )
     return {
+        "kind": "levels",
         "label": levels.label,
         "scatter": _short(levels.scatter),
         "drift": levels.drift,
@@ -157,7 +168,12 @@ def _table(levels: Levels) -> dict[str, Any]:
         **births,
         "clutter": _shares(levels.clutter),
         **(
-            {} if levels.usual is None else {"usual": _short(levels.usual), "memory": levels.memory}
+            {}
+            if levels.mean_objects is None
+            else {
+                "mean_objects": _short(levels.mean_objects),
+                "prior_seconds": levels.prior_seconds,
+            }
         ),
         "calibration": {
             **{name: _shortened(getattr(calibration, name)) for name in _BY_LABEL},

@@ -10,12 +10,12 @@ import numpy as np
 
 from pmbm.baselines import fit_statistics
 from pmbm.errors import InputError
-from pmbm.filter.marks import Kinds
+from pmbm.filter import ObjectClasses
 from pmbm.score import ScoreModel
 from pmbm.study import ConfiguredTracker
 from pmbm.types import CLUTTER, Label, Recording
 
-_GHOSTS: Final = 0.3
+_PERSISTENT_CLUTTER: Final = 0.3
 """Share of new sources that are taken for persistent clutter; results hardly depend on it."""
 
 
@@ -70,12 +70,12 @@ def _scores(recordings: Iterable[Recording], label: Label | None) -> dict[str, A
             of_truth = recording.truth[frame].label[origin[real]]
             mistaken.append(detections.label[real] != of_truth)
     wrong = np.concatenate(mistaken)
-    kinds = Kinds.simple(
-        ghosts=_GHOSTS,
+    classes = ObjectClasses.simple(
+        persistent_clutter=_PERSISTENT_CLUTTER,
         score=ScoreModel.fit_isotonic(np.concatenate(score), np.concatenate(true)),
         mislabelled=float((wrong.sum() + 1) / (len(wrong) + 2)),
     )
-    return {"scores": "ignore", "kinds": _plain(kinds)}
+    return {"scores": {"kind": "classes", **_plain(classes)}}
 
 
 def _plain(value: Any) -> Any:

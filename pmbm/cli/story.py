@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pmbm.errors import InputError
@@ -23,7 +22,7 @@ def story_of(
     Raises InputError where the tracker cannot be asked, or never had the track.
     """
     from pmbm.filter import PMBMTracker
-    from pmbm.filter.story import tell
+    from pmbm.filter.explain.story import tell
     from pmbm.seeding import seeded, tracker_seed
     from pmbm.tracking import make_tracker, run
 
@@ -38,7 +37,8 @@ def story_of(
             expected="a PMBMTracker as the first tracker",
             got=type(made).__name__,
         )
-    config = replace(made.config, history=max(_HISTORY, made.config.history))
+    history = max(_HISTORY, made.config.report.history)
+    config = made.config.changed({"report.history": history})
     sequence = run(PMBMTracker(config, recording.site), recording, record=True)
     # The first delivery of a frame is the one that was taken in.
     deliveries = zip(recording.frame.tolist(), recording.detections, strict=True)
@@ -48,6 +48,6 @@ def story_of(
         sequence.inspections or (),
         sequence.steps,
         [first[frame] for frame in sequence.frame.tolist()],
-        recycle_below=config.recycle_below,
+        recycle_below=config.reduction.recycle_below,
     )
     return f"{tracker}, {source.name}, trial {trial} of seed {seed}\n{story}"

@@ -142,7 +142,9 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
                 hint="use --tracker pmbm or --mode online",
             )  # fmt: skip
         config = tracker.config
-        early = dataclasses.replace(config, report_above=config.keep_above / 10, newest_box=1.0)
+        early = config.changed(
+            {"report.above": config.report.keep_above / 10, "sensor.box_gain": 1.0}
+        )
         own = tuple(seen_by(tracker, label, frame) for frame in recording.detections)
         alone = dataclasses.replace(recording, detections=own, origin=None)
         found = run(PMBMTracker(early, recording.site), alone, record=True)
@@ -173,14 +175,14 @@ def class_trackers(
 ) -> dict[Label, ConfiguredTracker]:
     """The tracker of each class with its parameters: those of the file's top level, and over them
     those of the class's own table."""
-    from pmbm.study.configured import ConfiguredTracker
+    from pmbm.study.configured import ConfiguredTracker, merged, nested
     from pmbm.types import Label
 
     values = {} if config is None else read_toml(config)
     own = {name: values.pop(name, {}) for name in dataset.known_classes}
     trackers = {}
     for name, label in zip(dataset.classes, dataset.labels, strict=True):
-        parameters = {**values, **_table(own[name], name, config)}
+        parameters = merged(nested(values), nested(_table(own[name], name, config)))
         configured = ConfiguredTracker(tracker, tuple(parameters.items()))
         with _blaming(config):
             configured.bound()

@@ -174,7 +174,7 @@ def command(
                 fitted=fitted,
             )
             space = _space(problem.tracker, space_file, config)
-        present = _present(problem.tracker, space)
+        present = present_values(problem.tracker, space)
         with _bar(problem.metric) as progress:
             tuned = tune(
                 lambda parameters: _value(problem, parameters),
@@ -224,9 +224,10 @@ def _value(problem: Simulated | Logged, parameters: Mapping[str, Any]) -> float 
 def _with(tracker: ConfiguredTracker, parameters: Mapping[str, Any]) -> ConfiguredTracker:
     """The tracker with these parameters over its own."""
     from pmbm.study import ConfiguredTracker
+    from pmbm.study.configured import nested
 
-    merged = {**dict(tracker.parameters), **parameters}
-    return ConfiguredTracker(tracker.factory, tuple(merged.items()))
+    own = nested({**dict(tracker.parameters), **parameters})
+    return ConfiguredTracker(tracker.factory, tuple(own.items()))
 
 
 def _space(tracker: ConfiguredTracker, file: Path | None, config: Path | None) -> Space:
@@ -262,9 +263,10 @@ def _space(tracker: ConfiguredTracker, file: Path | None, config: Path | None) -
     return space
 
 
-def _present(tracker: ConfiguredTracker, space: Space) -> dict[str, Any]:
+def present_values(tracker: ConfiguredTracker, space: Space) -> dict[str, Any]:
     """The values that a tracker's parameters have as it is, as far as it shows them."""
     import inspect
+    from operator import attrgetter
 
     from pmbm.tracking import tracker_factory
     from pmbm.types import Site
@@ -277,7 +279,11 @@ def _present(tracker: ConfiguredTracker, space: Space) -> dict[str, Any]:
     }
     values |= dict(tracker.parameters)
     config = getattr(tracker(Site()), "config", None)
-    values |= {name: getattr(config, name) for name in space if hasattr(config, name)}
+    for name in space:
+        try:
+            values[name] = attrgetter(name)(config)
+        except AttributeError:
+            continue
     return {name: values[name] for name in space if name in values}
 
 

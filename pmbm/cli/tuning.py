@@ -16,6 +16,7 @@ from pmbm.metrics import Evaluation, combine
 from pmbm.metrics.catalogue import definition
 from pmbm.seeding import tracker_seed
 from pmbm.study import ConfiguredTracker, Estimate, Source, estimate
+from pmbm.study.configured import nested
 from pmbm.study.summary import paired
 from pmbm.study.trial import score_tracker
 from pmbm.tune import REPORTING_SEQUENCES, refuse_reserved_sequences
@@ -117,7 +118,7 @@ class Simulated:
 
     def document(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """The file that holds these parameters."""
-        return {**dict(self.tracker.parameters), **parameters}
+        return nested({**dict(self.tracker.parameters), **parameters})
 
 
 @dataclass(frozen=True)
@@ -219,7 +220,7 @@ class Logged:
 
     def document(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """The file that holds these parameters, in the table of the class."""
-        return {self.dataset.classes[0]: {**dict(self.tracker.parameters), **parameters}}
+        return {self.dataset.classes[0]: nested({**dict(self.tracker.parameters), **parameters})}
 
 
 def _score(

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import re
 import warnings
 import zipfile
@@ -358,8 +357,3 @@ def _bounds(at_least: int | None, at_most: int | None) -> str:
     if at_most is None:
         return f"at least {at_least}"
     return f"{'-inf' if at_least is None else at_least} to {at_most}"
-
-
-def is_real(value: Any) -> bool:
-    """Whether a parsed value is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -15,10 +15,51 @@ Letters used in this folder alone:
 
 from __future__ import annotations
 
-from pmbm.filter.config import PMBMConfig
-from pmbm.filter.inspection import Inspection
-from pmbm.filter.marks import Kinds, Levels, Visibility
-from pmbm.filter.smoothing import smooth
-from pmbm.filter.tracker import PMBMTracker
+from typing import Any
 
-__all__ = ["Inspection", "Kinds", "Levels", "PMBMConfig", "PMBMTracker", "Visibility", "smooth"]
+from pmbm.errors import InputError
+from pmbm.filter.config import PMBMConfig, Reduction, Report
+from pmbm.filter.explain.inspection import Inspection
+from pmbm.filter.models.birth import BroadBirth
+from pmbm.filter.models.birth_map import BirthMap
+from pmbm.filter.models.detection import DetectionChain, DetectionFromScores, FixedDetection
+from pmbm.filter.models.motion import ConstantVelocity, Survival
+from pmbm.filter.models.object_classes import ObjectClasses
+from pmbm.filter.models.score_levels import LastingScores, ScoreLevels
+from pmbm.filter.models.scores import EveryScore, FirstScore, IgnoreScores
+from pmbm.filter.models.sensor import Sensor
+from pmbm.filter.smoothing import smooth
+from pmbm.filter.tracker import PMBMTracker, State, step
+
+__all__ = [
+    "BirthMap",
+    "BroadBirth",
+    "ConstantVelocity",
+    "DetectionChain",
+    "DetectionFromScores",
+    "EveryScore",
+    "FirstScore",
+    "FixedDetection",
+    "IgnoreScores",
+    "Inspection",
+    "LastingScores",
+    "ObjectClasses",
+    "PMBMConfig",
+    "PMBMTracker",
+    "Reduction",
+    "Report",
+    "ScoreLevels",
+    "Sensor",
+    "State",
+    "Survival",
+    "smooth",
+    "step",
+]
+
+_RENAMED = {"Kinds": "ObjectClasses", "Levels": "ScoreLevels", "Visibility": "DetectionChain"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _RENAMED:
+        raise InputError(f"pmbm.filter has no '{name}'", hint=f"it is now {_RENAMED[name]}")
+    raise AttributeError(f"module 'pmbm.filter' has no attribute {name!r}")

@@ -8,11 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pmbm import compiled
-from pmbm.types import ABSENT, FloatArray, GaussianMixture, vouched
+from pmbm.kernels import twin
+from pmbm.types import ABSENT, FloatArray, GaussianMixture, unchecked
 
 Index = NDArray[np.intp]
 
+STATE = 4
+"""Size of a state, [x, y, vx, vy]: the position comes first, then the velocity, then what else a
+motion model may follow."""
 MISSED = -1
 """In association histories: the object was not detected at that step."""
 BEFORE = -2
@@ -20,7 +23,7 @@ BEFORE = -2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Origin:
+class RecycledFrom:
     """Whose weight the components of a PPP were, before their Bernoullis were recycled.
 
     It says nothing about where objects are and how many: a label, kept so that an object that is
@@ -36,45 +39,45 @@ class Origin:
     share: FloatArray
     recycled: FloatArray
 
-    def take(self, rows: Index) -> Origin:
-        return Origin(self.track[rows], self.share[rows], self.recycled[rows])
+    def take(self, rows: Index) -> RecycledFrom:
+        return RecycledFrom(self.track[rows], self.share[rows], self.recycled[rows])
 
     @staticmethod
-    def of(track: NDArray[np.int64]) -> Origin:
+    def of(track: NDArray[np.int64]) -> RecycledFrom:
         """Components that are recycled weight and nothing else."""
-        return Origin(track, np.ones(len(track)), np.ones(len(track)))
+        return RecycledFrom(track, np.ones(len(track)), np.ones(len(track)))
 
     @staticmethod
-    def joined(parts: list[tuple[Origin | None, int]]) -> Origin | None:
+    def joined(parts: list[tuple[RecycledFrom | None, int]]) -> RecycledFrom | None:
         """Origins of components one on another, and how many there are of each; None where all
         have none."""
-        if all(origin is None for origin, _ in parts):
+        if all(one is None for one, _ in parts):
             return None
         each = [
-            Origin(np.full(n, ABSENT, np.int64), np.zeros(n), np.zeros(n))
-            if origin is None
-            else origin
-            for origin, n in parts
+            RecycledFrom(np.full(n, ABSENT, np.int64), np.zeros(n), np.zeros(n))
+            if one is None
+            else one
+            for one, n in parts
         ]
-        return Origin(
+        return RecycledFrom(
             np.concatenate([one.track for one in each]),
             np.concatenate([one.share for one in each]),
             np.concatenate([one.recycled for one in each]),
         )
 
-    def diluted(self, by: FloatArray) -> Origin:
-        """After the first rows have taken in weight that was nobody's: this share (n,) of what they
-        hold."""
+    def diluted(self, by: FloatArray) -> RecycledFrom:
+        """Scale down the shares of the first n components, a fraction `by` (n,) of whose weight is
+        newly born."""
         left = np.ones(len(self.share))
         left[: len(by)] -= by
-        return Origin(self.track, self.share * left, self.recycled * left)
+        return RecycledFrom(self.track, self.share * left, self.recycled * left)
 
-    def merged(self, order: Index, first: Index, weight: FloatArray) -> Origin | None:
+    def merged(self, order: Index, first: Index, weight: FloatArray) -> RecycledFrom | None:
         """Of groups of components: runs of `order` (P,) that begin at `first` (N,), where the
         components weigh `weight` (P,), in that order.
 
-        A group is of the origin that most of its weight is of; of what others had, only the share
-        is kept.
+        A group is recycled from the track that most of its weight is of; of what others had, only
+        the share is kept.
         """
         track, own = self.track[order], weight * self.share[order]
         if not self.recycled.any():
@@ -89,7 +92,7 @@ class Origin:
         # The heaviest of each group comes last, and so is what stays written.
         heaviest = np.lexsort((mass, group[head]))
         total = np.add.reduceat(weight, first)
-        result = Origin(
+        result = RecycledFrom(
             np.full(len(first), ABSENT, np.int64),
             np.zeros(len(first)),
             np.add.reduceat(weight * self.recycled[order], first) / total,
@@ -105,13 +108,13 @@ class Mixture:
     """`pmbm.types.GaussianMixture` without its checks, for use between the steps of the filter.
 
     log_weight (P,), mean (P,4), cov (P,4,4).
-    origin : whose weight it was before it was recycled; None where none was.
+    recycled_from : whose weight it was before it was recycled; None where none was.
     """
 
     log_weight: FloatArray
     mean: FloatArray
     cov: FloatArray
-    origin: Origin | None = None
+    recycled_from: RecycledFrom | None = None
 
     def __len__(self) -> int:
         return len(self.log_weight)
@@ -119,14 +122,14 @@ class Mixture:
     def never_detected(self) -> FloatArray:
         """(P,) expected objects of each component that no detection has ever shown."""
         weight = np.exp(self.log_weight)
-        return weight if self.origin is None else weight * (1 - self.origin.recycled)
+        return weight if self.recycled_from is None else weight * (1 - self.recycled_from.recycled)
 
     def take(self, rows: Index) -> Mixture:
         return Mixture(
             self.log_weight.take(rows, axis=0),
             self.mean.take(rows, axis=0),
             self.cov.take(rows, axis=0),
-            None if self.origin is None else self.origin.take(rows),
+            None if self.recycled_from is None else self.recycled_from.take(rows),
         )
 
     @staticmethod
@@ -135,20 +138,63 @@ class Mixture:
             np.concatenate([part.log_weight for part in parts]),
             np.concatenate([part.mean for part in parts]),
             np.concatenate([part.cov for part in parts]),
-            Origin.joined([(part.origin, len(part)) for part in parts]),
+            RecycledFrom.joined([(part.recycled_from, len(part)) for part in parts]),
         )
 
     @staticmethod
     def empty() -> Mixture:
-        return Mixture(np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4, 4)))
+        return Mixture(np.zeros(0), np.zeros((0, STATE)), np.zeros((0, STATE, STATE)))
 
     def public(self) -> GaussianMixture:
-        return vouched(
+        return unchecked(
             GaussianMixture,
             log_weight=self.log_weight.copy(),
             mean=self.mean.copy(),
             cov=self.cov.copy(),
         )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Marks:
+    """What the models of scores and of detection remember of H local hypotheses.
+
+    source (H,K) : P(class of the source), adding up to one; K = 1 where scores tell none apart.
+    confidence (H,) : running mean of the scores of past detections; 0 where P_D does not depend on
+        it.
+    detectable (H,) : P(the detector can find it at present); 1 where misses are independent.
+    """
+
+    source: FloatArray
+    confidence: FloatArray
+    detectable: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.confidence)
+
+    def take(self, rows: Index) -> Marks:
+        return Marks(
+            self.source.take(rows, axis=0),
+            self.confidence.take(rows, axis=0),
+            self.detectable.take(rows, axis=0),
+        )
+
+    @staticmethod
+    def joined(*parts: Marks) -> Marks:
+        return Marks(
+            np.concatenate([part.source for part in parts]),
+            np.concatenate([part.confidence for part in parts]),
+            np.concatenate([part.detectable for part in parts]),
+        )
+
+    @staticmethod
+    def of_source(source: FloatArray) -> Marks:
+        """Of sources of these classes (H,K), and neutral besides."""
+        return Marks(source, np.zeros(len(source)), np.ones(len(source)))
+
+    @staticmethod
+    def neutral(rows: int, classes: int = 1) -> Marks:
+        """All classes alike."""
+        return Marks.of_source(np.full((rows, classes), 1 / classes))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -161,11 +207,8 @@ class Locals:
     box (H,5) : z, length, width, height, yaw of the last detection.
     label (H,) : int8, of the last detection.
     history (H,L) : int32, measurement taken at each of the last L steps, MISSED or BEFORE; L is
-        the configuration's `history`, of which `Succession` reads the last.
-    confidence (H,) or None : running mean of the scores of past detections, where it is asked for.
-    kind (H,K) or None : P(kind) of the object, adding up to one, where scores or labels tell kinds
-        apart.
-    seen (H,) or None : P(the detector sees it for the time being), where misses come in runs.
+        the configuration's `history`, of which `IdInheritance` reads the last.
+    marks : what the models of scores and of detection remember of each.
     """
 
     track: Index
@@ -175,9 +218,7 @@ class Locals:
     box: FloatArray
     label: NDArray[np.int8]
     history: NDArray[np.int32]
-    confidence: FloatArray | None = None
-    kind: FloatArray | None = None
-    seen: FloatArray | None = None
+    marks: Marks
 
     def __len__(self) -> int:
         return len(self.track)
@@ -191,9 +232,7 @@ class Locals:
             self.box.take(rows, axis=0),
             self.label.take(rows, axis=0),
             self.history.take(rows, axis=0),
-            None if self.confidence is None else self.confidence.take(rows, axis=0),
-            None if self.kind is None else self.kind.take(rows, axis=0),
-            None if self.seen is None else self.seen.take(rows, axis=0),
+            self.marks.take(rows),
         )
 
     @staticmethod
@@ -206,27 +245,21 @@ class Locals:
             np.concatenate([part.box for part in parts]),
             np.concatenate([part.label for part in parts]),
             np.concatenate([part.history for part in parts]),
-            _concatenated([part.confidence for part in parts]),
-            _concatenated([part.kind for part in parts]),
-            _concatenated([part.seen for part in parts]),
+            Marks.joined(*[part.marks for part in parts]),
         )
 
     @staticmethod
-    def empty(
-        history: int = 0, *, confidence: bool = False, kinds: int = 0, seen: bool = False
-    ) -> Locals:
-        """No rows, with the optional columns asked for."""
+    def empty(history: int = 0, classes: int = 1) -> Locals:
+        """No rows; `history` steps of associations are kept, and classes of sources told apart."""
         return Locals(
             np.zeros(0, np.intp),
             np.zeros(0),
-            np.zeros((0, 4)),
-            np.zeros((0, 4, 4)),
+            np.zeros((0, STATE)),
+            np.zeros((0, STATE, STATE)),
             np.zeros((0, 5)),
             np.zeros(0, np.int8),
             np.zeros((0, history), np.int32),
-            np.zeros(0) if confidence else None,
-            np.zeros((0, kinds)) if kinds else None,
-            np.zeros(0) if seen else None,
+            Marks.neutral(0, classes),
         )
 
 
@@ -254,7 +287,7 @@ class Globals:
         return int(self.cluster[-1]) + 1 if len(self.cluster) else 0
 
     def columns(self) -> tuple[Index, FloatArray, Index, Index]:
-        """The fields, as the compiled module takes them."""
+        """The fields, as the kernels take them."""
         return self.cluster, self.log_weight, self.start, self.member
 
     def row_of_member(self) -> Index:
@@ -286,8 +319,9 @@ class Density:
         independent: the mixture over the whole scene is the product of theirs.
     track_id (T,) : int64; a track's id is the running number, over the whole run, of the detection
         that started it, so it names (time, measurement).  No other object ever has it; an object
-        that was given up and is seen again may resume it (`pmbm.filter.resumption`), and one that
-        was reported keeps it when a second explanation of it wins (`pmbm.filter.succession`).
+        that was given up and is detected again may resume it (`pmbm.filter.identity.recycling`),
+        and one that was reported keeps it when a second explanation of it wins
+        (`pmbm.filter.identity.inheritance`).
     detections_seen : how many detections came before; the id of the next one.
     undetected_settled : components of the PPP when it was last merged.
     """
@@ -316,33 +350,18 @@ class Density:
 
     def hypothesis_probability(self) -> FloatArray:
         """(H,) marginal probability of each local hypothesis: its global hypotheses' weights."""
-        table = self.hypotheses
-        if compiled.native is not None:
-            return compiled.native.probability(*table.columns(), len(self.local))
-        weight = np.repeat(np.exp(table.log_weight), np.diff(table.start))
-        return summed(weight, table.member, len(self.local))
-
-    def choice(self, cluster: int) -> tuple[Index, NDArray[np.int32], FloatArray]:
-        """One cluster as a dense table, to look at: its tracks (J,), choice (G,J) of rows of the
-        local table or ABSENT, and log weights (G,)."""
-        table = self.hypotheses
-        rows = np.flatnonzero(table.cluster == cluster)
-        first, last = table.start[rows[0]], table.start[rows[-1] + 1]
-        member = table.member[first:last]
-        tracks, column = np.unique(self.local.track[member], return_inverse=True)
-        choice = np.full((len(rows), len(tracks)), ABSENT, np.int32)
-        row = np.repeat(np.arange(len(rows)), np.diff(table.start)[rows])
-        choice[row, column] = member
-        return tracks, choice, table.log_weight[rows]
+        return probability_of_members(*self.hypotheses.columns(), len(self.local))
 
     def with_undetected(self, undetected: Mixture) -> Density:
         return replace(self, undetected=undetected)
 
 
-def _concatenated(parts: list[FloatArray | None]) -> FloatArray | None:
-    """Optional columns, one on another; all parts have the column or none has."""
-    present = [part for part in parts if part is not None]
-    return np.concatenate(present) if len(present) == len(parts) else None
+@twin("probability")
+def probability_of_members(
+    cluster: Index, log_weight: FloatArray, start: Index, member: Index, locals_: int
+) -> FloatArray:
+    """(locals_,) the weights of the global hypotheses that each local hypothesis is a member of."""
+    return summed(np.repeat(np.exp(log_weight), np.diff(start)), member, locals_)
 
 
 def ragged(start: Index, count: Index) -> Index:

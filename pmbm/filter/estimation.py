@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pmbm import compiled
 from pmbm.filter.density import Density, Index, Locals, summed
+from pmbm.kernels import twin
 from pmbm.types import FloatArray
 
 _WHOLE = 1.5
@@ -21,19 +21,17 @@ _WHOLE = 1.5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Marginals:
-    """Per track: existence (T,), over all hypotheses; of_kind (T,K), that of a source of each kind,
-    or None without kinds; and best (T,), the row of its most probable local hypothesis."""
+    """Per track: existence (T,), over all hypotheses; of_class (T,K), that of a source of each
+    class; and best (T,), the row of its most probable local hypothesis."""
 
     existence: FloatArray
-    of_kind: FloatArray | None
+    of_class: FloatArray
     best: Index
 
-    def objects(self, object_share: FloatArray | None) -> FloatArray:
+    def objects(self, object_share: FloatArray) -> FloatArray:
         """(T,) the probability to exist and be an object, given P(object) (K,) of a source of each
-        kind; None, all are objects."""
-        if self.of_kind is None or object_share is None:
-            return self.existence
-        return np.minimum(self.of_kind @ object_share, self.existence)
+        class."""
+        return np.minimum(self.of_class @ object_share, self.existence)
 
 
 def marginals(density: Density) -> Marginals:
@@ -41,42 +39,48 @@ def marginals(density: Density) -> Marginals:
     local, tracks = density.local, len(density.track_id)
     mass = density.hypothesis_probability() * local.existence
     existence = summed(mass, local.track, tracks)
-    if compiled.native is not None:
-        best = compiled.native.likeliest(local.track, mass, tracks)
-    else:
-        order = np.lexsort((-mass, local.track))
-        best = order[np.flatnonzero(np.diff(local.track[order], prepend=-1))]
-    return Marginals(existence.clip(max=1.0), _by_kind(local, mass, tracks), best)
+    best = _likeliest(local.track, mass, tracks)
+    return Marginals(existence.clip(max=1.0), _by_class(local, mass, tracks), best)
 
 
-def _by_kind(local: Locals, mass: FloatArray, tracks: int) -> FloatArray | None:
-    if local.kind is None:
-        return None
-    kinds = local.kind.shape[1]
-    cell = local.track[:, None] * kinds + np.arange(kinds)
-    of_kind = summed((mass[:, None] * local.kind).ravel(), cell.ravel(), tracks * kinds)
-    return of_kind.reshape(tracks, kinds)
+@twin("likeliest")
+def _likeliest(track: Index, mass: FloatArray, tracks: int) -> Index:
+    """(tracks,) the row of the largest mass of each track."""
+    order = np.lexsort((-mass, track))
+    return order[np.flatnonzero(np.diff(track[order], prepend=-1))]
 
 
-def apart(position: FloatArray, box: FloatArray, order: Index, sure: int) -> Index:
-    """Rows of the reports that stand where two are never at one place, the centre of one in the box
-    of the other.
+def _by_class(local: Locals, mass: FloatArray, tracks: int) -> FloatArray:
+    source = local.marks.source
+    classes = source.shape[1]
+    cell = local.track[:, None] * classes + np.arange(classes)
+    of_class = summed((mass[:, None] * source).ravel(), cell.ravel(), tracks * classes)
+    return of_class.reshape(tracks, classes)
 
-    The one that comes first stands, or the whole instead of its parts: trucks are seen in halves.
 
-    position (N,2); box (N,5) : z, length, width, height, yaw; order (N,) : the rows, those with the
-    better claim to their places first, of which the first `sure` may hold others back.
+def suppress_overlaps(position: FloatArray, box: FloatArray, order: Index, sure: int) -> Index:
+    """Suppress overlapping reports: rows of those that are left.
+
+    Of two, one's centre inside the other's box, the one with the higher priority is kept, unless
+    the other is 1.5 times as large: trucks are detected in halves.
+
+    position (N,2); box (N,5) : z, length, width, height, yaw; order (N,) : the rows by falling
+    priority, of which the first `sure` may suppress others.
     """
-    if compiled.native is not None:
-        rows: Index = compiled.native.standing(position, box, order, sure, _WHOLE)
-        return rows
+    return _suppress_overlaps(position, box, order, sure, _WHOLE)
+
+
+@twin("suppress_overlaps")
+def _suppress_overlaps(
+    position: FloatArray, box: FloatArray, order: Index, sure: int, whole: float
+) -> Index:
     area, stands = box[:, 1] * box[:, 2], np.zeros(len(position), bool)
     may_hold = np.zeros(len(position), bool)
     may_hold[order[:sure]] = True
     rivals_of = _at_one_place(position, box)
     for b in order.tolist():
         rivals = [a for a in rivals_of.get(b, []) if stands[a] and may_hold[a]]
-        if all(area[b] > _WHOLE * area[a] for a in rivals):
+        if all(area[b] > whole * area[a] for a in rivals):
             stands[rivals], stands[b] = False, True
     return np.flatnonzero(stands)
 

@@ -4,17 +4,27 @@ fifth, gating, is part of the association)."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import ModuleType
 
 import numpy as np
 
-from pmbm import compiled
-from pmbm.filter import clusters
-from pmbm.filter.clusters import factor, merge_equal, row_limit, split
-from pmbm.filter.density import Density, Globals, Index, Mixture, Origin, starts, summed
-from pmbm.filter.gating import near
-from pmbm.filter.gaussian import moments
-from pmbm.filter.weights import likely, log_of, normalised
+from pmbm.filter.config import Reduction
+from pmbm.filter.density import (
+    Density,
+    Globals,
+    Index,
+    Mixture,
+    RecycledFrom,
+    probability_of_members,
+    starts,
+    summed,
+)
+from pmbm.filter.hypotheses import clusters
+from pmbm.filter.hypotheses.clusters import factor, merge_equal, row_limit, split
+from pmbm.filter.hypotheses.gating import near
+from pmbm.filter.hypotheses.gaussian import moments
+from pmbm.filter.hypotheses.weights import likely, log_of, normalised
+from pmbm.filter.models.protocols import Birth
+from pmbm.kernels import twin
 from pmbm.types import FloatArray
 
 _FEW = 20
@@ -23,7 +33,7 @@ _ALIKE = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Reduced:
+class ReductionStats:
     """What a reduction removed: global hypotheses pruned, capped and merged, local hypotheses
     recycled, and PPP components pruned, merged and capped; where the PPP is kept in detail, the
     expected number of objects that left its map or were negligible; and pairs of a local hypothesis
@@ -41,37 +51,29 @@ class Reduced:
     pairs_gated: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """The thresholds of the reduction; see `PMBMConfig` for their meaning."""
-
-    prune_hypothesis: float
-    max_hypotheses: int
-    recycle_below: float
-    recycle: bool
-    max_tracks: int
-    prune_undetected: float
-    merge_undetected: float
-    max_undetected: int
-    clustering: bool
-    split_below: float
-
-
-def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
+def reduce(
+    density: Density, limits: Reduction, birth: Birth | None = None
+) -> tuple[Density, ReductionStats]:
     """The density with fewer terms, as near as possible to the given one.
 
     In this order: unlikely global hypotheses go, the best of the rest stay and share their weight;
     tracks that hardly exist are moved back into the PPP; hypotheses that are equal without them
     become one; clusters fall apart; the PPP is pruned and merged.
+
+    birth : says from what weight and how near on undetected objects are pruned and merged; None
+        merges none.
     """
     density, returned, removed = _fewer(density, limits)
 
+    prune, merge_below = limits.prune_undetected, 0.0
+    if birth is not None:
+        prune, merge_below = birth.thresholds(prune)
     ppp = Mixture.joined(density.undetected, returned) if len(returned) else density.undetected
-    kept = ppp.take(np.flatnonzero(ppp.log_weight > log_of(limits.prune_undetected)))
+    kept = ppp.take(np.flatnonzero(ppp.log_weight > log_of(prune)))
     joined, settled = kept, density.undetected_settled
     if len(kept) > 2 * settled + _FEW:
         # Merging takes longer than what it saves until the mixture has grown.
-        joined = merge_mixture(kept, limits.merge_undetected)
+        joined = merge_mixture(kept, merge_below)
         settled = len(joined)
     heaviest = joined
     if len(joined) > limits.max_undetected:
@@ -85,37 +87,10 @@ def reduce(density: Density, limits: Limits) -> tuple[Density, Reduced]:
     )
 
 
-def _fewer(density: Density, limits: Limits) -> tuple[Density, Mixture, Reduced]:
+def _fewer(density: Density, limits: Reduction) -> tuple[Density, Mixture, ReductionStats]:
     """The detected objects with fewer hypotheses, and what is moved back into the PPP."""
-    if compiled.native is not None:
-        return _fewer_compiled(compiled.native, density, limits)
-    table = density.hypotheses
-    cap = np.full(table.clusters, limits.max_hypotheses)
-    if limits.clustering:
-        cap = row_limit(table, limits.max_hypotheses)
-    kept_rows, above = _pruned(table, limits.prune_hypothesis, cap)
-    pruned, over = len(table) - above, above - len(kept_rows)
-    density = replace(density, hypotheses=kept_rows)
-
-    density, recycled, tracks_capped, returned = _recycle(density, limits)
-    before = len(density.hypotheses)
-    if recycled or tracks_capped:
-        # Hypotheses that differ stay different as long as nothing is taken out of them.
-        density = replace(density, hypotheses=merge_equal(density.hypotheses))
-    merged = before - len(density.hypotheses)
-    if limits.clustering:
-        apart = split(density.hypotheses, len(density.local))
-        apart = factor(apart, density.local.track, limits.split_below)
-        density = replace(density, hypotheses=apart)
-    return _compact(density), returned, Reduced(pruned, over, merged, recycled, tracks_capped)
-
-
-def _fewer_compiled(
-    native: ModuleType, density: Density, limits: Limits
-) -> tuple[Density, Mixture, Reduced]:
-    """`_fewer` in one call."""
     local = density.local
-    columns, rows, track, tracks, recycled, probability, removed = native.reduced(
+    columns, rows, track, tracks, recycled, probability, removed = _reduced(
         *density.hypotheses.columns(),
         local.existence,
         local.track,
@@ -129,19 +104,88 @@ def _fewer_compiled(
         limits.split_below,
         clusters.WORTH_FACTORING,
     )
-    kept = replace(local.take(rows), track=track)
     fewer = replace(
         density,
-        local=kept,
+        local=replace(local.take(rows), track=track),
         hypotheses=Globals(*columns),
         track_id=density.track_id[tracks],
     )
-    return fewer, _returned(density, recycled, probability, limits), Reduced(*removed)
+    return fewer, _returned(density, recycled, probability, limits), ReductionStats(*removed)
 
 
-def _pruned(table: Globals, threshold: float, cap: Index) -> tuple[Globals, int]:
+@twin("reduced")
+def _reduced(
+    cluster: Index,
+    log_weight: FloatArray,
+    start: Index,
+    member: Index,
+    existence: FloatArray,
+    track: Index,
+    tracks: int,
+    log_prune: float,
+    max_hypotheses: int,
+    largest_table: int,
+    recycle_below: float,
+    max_tracks: int,
+    clustering: bool,
+    split_below: float,
+    worth_factoring: int,
+) -> tuple[
+    tuple[Index, FloatArray, Index, Index],
+    Index,
+    Index,
+    Index,
+    Index,
+    FloatArray,
+    tuple[int, int, int, int, int],
+]:
+    """The columns of the reduced table; the local hypotheses kept, their tracks, and the tracks
+    kept; the rows recycled, and the probability of each; and counts in the order of
+    `ReductionStats`."""
+    whole = Globals(cluster, log_weight, start, member)
+    cap = np.full(whole.clusters, max_hypotheses)
+    if clustering:
+        cap = row_limit(whole, max_hypotheses)
+    table, above = pruned(whole, log_prune, cap)
+    dropped, over = len(whole) - above, above - len(table)
+
+    probability = probability_of_members(*table.columns(), len(existence))
+    faint = existence < recycle_below
+    surplus = _surplus_tracks(probability * existence, track, tracks, max_tracks)[track]
+    tracks_capped = int((surplus & ~faint).sum())
+    faint = faint | surplus
+    recycled = np.flatnonzero(faint & (probability > 0))
+    before = len(table)
+    staying = ~faint[table.member]
+    if not staying.all():
+        entries = starts(staying.astype(np.intp))
+        emptied = Globals(
+            table.cluster, table.log_weight, entries[table.start], table.member[staying]
+        )
+        # Hypotheses that differ stay different as long as nothing is taken out of them.
+        table = merge_equal(emptied)
+    equal = before - len(table)
+    if clustering:
+        table = factor(split(table, len(existence)), track, split_below)
+    used = np.zeros(len(track), bool)
+    used[table.member] = True
+    rows, names = np.flatnonzero(used), np.cumsum(used) - 1
+    alive = np.zeros(tracks, bool)
+    alive[track[rows]] = True
+    return (
+        (table.cluster, table.log_weight, table.start, names[table.member]),
+        rows,
+        (np.cumsum(alive) - 1)[track[rows]],
+        np.flatnonzero(alive),
+        recycled,
+        probability[recycled],
+        (dropped, over, equal, len(recycled), tracks_capped),
+    )
+
+
+def pruned(table: Globals, log_threshold: float, cap: Index) -> tuple[Globals, int]:
     """The likely rows, at most `cap` (C,) of each cluster, and how many were likely."""
-    above = likely(table.log_weight, table.cluster, threshold)
+    above = likely(table.log_weight, table.cluster, log_threshold)
     return _keep(table, _best(table, above, cap)), int(above.sum())
 
 
@@ -172,31 +216,7 @@ def _keep(table: Globals, rows: np.ndarray) -> Globals:
     )
 
 
-def _recycle(density: Density, limits: Limits) -> tuple[Density, int, int, Mixture]:
-    """Take Bernoullis that hardly exist out of every global hypothesis and into the PPP.
-
-    Each becomes a component of weight r times the weight of the hypotheses that it was part of, so
-    the expected number of objects stays the same; the component remembers whose it was.
-    """
-    local, table = density.local, density.hypotheses
-    faint = local.existence < limits.recycle_below
-    capped = 0
-    if len(local) > limits.max_tracks:
-        surplus = _surplus_tracks(density, limits.max_tracks)[local.track]
-        capped = int((surplus & ~faint).sum())
-        faint = faint | surplus
-    staying = ~faint[table.member]
-    if staying.all():
-        return density, 0, capped, Mixture.empty()
-    before = starts(staying.astype(np.intp))
-    emptied = Globals(table.cluster, table.log_weight, before[table.start], table.member[staying])
-    probability = density.hypothesis_probability()
-    rows = np.flatnonzero(faint & (probability > 0))
-    returned = _returned(density, rows, probability[rows], limits)
-    return replace(density, hypotheses=emptied), len(rows), capped, returned
-
-
-def _returned(density: Density, rows: Index, probability: FloatArray, limits: Limits) -> Mixture:
+def _returned(density: Density, rows: Index, probability: FloatArray, limits: Reduction) -> Mixture:
     """The Bernoullis of these rows (n,), as components of the PPP, or nothing where they are to be
     forgotten.  probability (n,) : of the hypotheses that they were part of."""
     local = density.local
@@ -204,35 +224,17 @@ def _returned(density: Density, rows: Index, probability: FloatArray, limits: Li
         return Mixture.empty()
     with np.errstate(divide="ignore"):
         log_weight = np.log(probability * local.existence[rows])
-    origin = Origin.of(density.track_id[local.track[rows]])
-    return Mixture(log_weight, local.mean[rows], local.cov[rows], origin)
+    recycled_from = RecycledFrom.of(density.track_id[local.track[rows]])
+    return Mixture(log_weight, local.mean[rows], local.cov[rows], recycled_from)
 
 
-def _surplus_tracks(density: Density, most: int) -> np.ndarray:
-    """(T,) the tracks of the lowest existence, beyond the `most` that may stay."""
-    local, tracks = density.local, len(density.track_id)
+def _surplus_tracks(mass: FloatArray, track: Index, tracks: int, most: int) -> np.ndarray:
+    """(T,) the tracks of the lowest existence, beyond the `most` that may stay; mass (H,) : of the
+    existence of each track."""
     surplus = np.zeros(tracks, bool)
-    if np.count_nonzero(np.bincount(local.track, minlength=tracks)) > most:
-        existence = summed(density.hypothesis_probability() * local.existence, local.track, tracks)
-        surplus[np.argsort(-existence, kind="stable")[most:]] = True
+    if np.count_nonzero(np.bincount(track, minlength=tracks)) > most:
+        surplus[np.argsort(-summed(mass, track, tracks), kind="stable")[most:]] = True
     return surplus
-
-
-def _compact(density: Density) -> Density:
-    """Drop the local hypotheses and tracks that no global hypothesis mentions."""
-    table, track = density.hypotheses, density.local.track
-    used = np.zeros(len(track), bool)
-    used[table.member] = True
-    rows, member = np.flatnonzero(used), (np.cumsum(used) - 1)[table.member]
-    alive = np.zeros(len(density.track_id), bool)
-    alive[track[rows]] = True
-    tracks, track = np.flatnonzero(alive), (np.cumsum(alive) - 1)[track[rows]]
-    return replace(
-        density,
-        local=replace(density.local.take(rows), track=track),
-        hypotheses=Globals(table.cluster, table.log_weight, table.start, member),
-        track_id=density.track_id[tracks],
-    )
 
 
 def merge_mixture(mixture: Mixture, threshold: float) -> Mixture:
@@ -257,16 +259,22 @@ def merge_mixture(mixture: Mixture, threshold: float) -> Mixture:
     mean, cov = moments(
         weight / np.repeat(total, count), mixture.mean[order], mixture.cov[order], first
     )
-    origin = mixture.origin.merged(order, first, weight) if mixture.origin is not None else None
-    return Mixture(top + np.log(total), mean, cov, origin)
+    before = mixture.recycled_from
+    after = None if before is None else before.merged(order, first, weight)
+    return Mixture(top + np.log(total), mean, cov, after)
 
 
 def _groups(mixture: Mixture, threshold: float) -> Index:
     """(P,) the component, by row, that each one is merged into."""
-    if compiled.native is not None:
-        columns = mixture.log_weight, mixture.mean, mixture.cov
-        return compiled.native.merge_groups(*columns, threshold, _ALIKE)
-    one, other = _close_pairs(mixture, threshold)
+    return _merge_groups(mixture.log_weight, mixture.mean, mixture.cov, threshold, _ALIKE)
+
+
+@twin("merge_groups")
+def _merge_groups(
+    log_weight: FloatArray, mean: FloatArray, cov: FloatArray, threshold: float, alike: float
+) -> Index:
+    mixture = Mixture(log_weight, mean, cov)
+    one, other = _close_pairs(mixture, threshold, alike)
     group = np.arange(len(mixture))
     if not len(one):
         return group
@@ -285,7 +293,7 @@ def _groups(mixture: Mixture, threshold: float) -> Index:
     return group
 
 
-def _close_pairs(mixture: Mixture, threshold: float) -> tuple[Index, Index]:
+def _close_pairs(mixture: Mixture, threshold: float, alike: float) -> tuple[Index, Index]:
     """Ordered pairs, both ways round, of components that may be merged."""
     cov = mixture.cov
     area = 0.5 * np.log(
@@ -294,7 +302,7 @@ def _close_pairs(mixture: Mixture, threshold: float) -> tuple[Index, Index]:
     radius = np.sqrt(threshold * (cov[:, 0, 0] + cov[:, 1, 1]))
     # Only components of similar size merge, so each run of sizes without a gap is on its own.
     by_size = np.argsort(area, kind="stable")
-    runs = np.split(by_size, np.flatnonzero(np.diff(area[by_size]) > _ALIKE) + 1)
+    runs = np.split(by_size, np.flatnonzero(np.diff(area[by_size]) > alike) + 1)
     ones, others = [], []
     for run in runs:
         if len(run) > 1:
@@ -304,7 +312,7 @@ def _close_pairs(mixture: Mixture, threshold: float) -> tuple[Index, Index]:
     if not ones:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     one, other = np.concatenate(ones), np.concatenate(others)
-    fits = (one != other) & (np.abs(area[one] - area[other]) <= _ALIKE)
+    fits = (one != other) & (np.abs(area[one] - area[other]) <= alike)
     one, other = one[fits], other[fits]
     apart = mixture.mean[other] - mixture.mean[one]
     d2 = np.einsum("ni,ni->n", apart, np.linalg.solve(cov[one], apart[:, :, None])[:, :, 0])

@@ -9,10 +9,9 @@ import numpy as np
 
 from pmbm.errors import InputError
 from pmbm.filter.config import PMBMConfig
-from pmbm.filter.estimation import apart
-from pmbm.filter.gaussian import symmetric
-from pmbm.filter.inspection import Inspection
-from pmbm.filter.models import constant_velocity
+from pmbm.filter.estimation import suppress_overlaps
+from pmbm.filter.explain.inspection import Inspection
+from pmbm.filter.hypotheses.gaussian import symmetric
 from pmbm.geometry import wrap_angle
 from pmbm.types import BoolArray, FloatArray, IntArray, Label, Tracks
 
@@ -71,12 +70,12 @@ def smooth(
     lives = []
     for number, rows in sorted(_rows_of_tracks(steps).items()):
         found = _forward(_life(steps, existence, number, rows, times), config)
-        if found is not None and found[0].score[-1] > config.keep_above:
+        if found is not None and found[0].score[-1] > config.report.keep_above:
             lives.append(_with_boxes(_backward(*found)))
     told: list[Tracks] = []
     for number, one in enumerate(steps):
         there = _present(lives, number)
-        told.append(_step(one, _standing(there) if config.exclusive else there))
+        told.append(_step(one, _standing(there) if config.report.exclusive else there))
     return tuple(told)
 
 
@@ -195,13 +194,13 @@ def _forward(life: _Life, config: PMBMConfig) -> tuple[_Life, _Forward] | None:
     A report that is less sure of the place than a measurement makes it is of a track that was
     missed, or whose detection is rather another's, as it is where the track hardly exists.
     """
-    information = np.eye(2) / config.measurement_sd**2
+    information = np.eye(2) / config.sensor.position_sd**2
     n = len(life.mean)
     mean, cov, detected = life.mean.copy(), life.cov.copy(), life.reported & (life.existence > _OWN)
     predicted_mean, predicted_cov = mean.copy(), cov.copy()
     F = np.empty((n, 4, 4))
     for k in range(1, n):
-        F[k], Q = constant_velocity(float(life.time[k] - life.time[k - 1]), config.spectral_density)
+        F[k], Q = config.motion.transition(float(life.time[k] - life.time[k - 1]))
         predicted_mean[k] = F[k] @ mean[k - 1]
         predicted_cov[k] = F[k] @ cov[k - 1] @ F[k].T + Q
         if not life.reported[k]:
@@ -275,7 +274,7 @@ def _standing(rows: list[_Moment]) -> list[_Moment]:
     """Where two lives are at one place, that of more detections."""
     detections = [np.count_nonzero(life.detected) for life, _ in rows]
     claims = np.argsort(np.negative(detections), kind="stable")
-    return [rows[row] for row in apart(*_places(rows), claims, len(rows))]
+    return [rows[row] for row in suppress_overlaps(*_places(rows), claims, len(rows))]
 
 
 def _step(given: Tracks, rows: Sequence[_Moment]) -> Tracks:

@@ -3,38 +3,217 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmbm.errors import InputError
 from pmbm.filter.association import associate
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
-from pmbm.filter.estimation import apart, marginals
-from pmbm.filter.inspection import Inspection, inspect
-from pmbm.filter.marks import GHOST, Levels, Seen
-from pmbm.filter.models import (
-    DetectionFromScores,
-    Sensor,
-    Transition,
-    View,
-    births_over,
-    constant_velocity,
-    spread_over,
-    survival_over,
-)
-from pmbm.filter.occlusion import Shadows
-from pmbm.filter.prediction import predict
-from pmbm.filter.reduction import Limits, Reduced, reduce
+from pmbm.filter.estimation import marginals, suppress_overlaps
+from pmbm.filter.explain.inspection import Inspection, inspect
+from pmbm.filter.identity.inheritance import IdInheritance
+from pmbm.filter.models.birth_map import BirthMap
+from pmbm.filter.models.occlusion import Shadows
+from pmbm.filter.models.protocols import SceneDensity
+from pmbm.filter.models.sensor import ObservationModel
+from pmbm.filter.models.view import View
+from pmbm.filter.prediction import Transition, predict
+from pmbm.filter.reduction import ReductionStats, reduce
 from pmbm.filter.scan import Scan
-from pmbm.filter.succession import Succession
-from pmbm.filter.unseen import FINE, MOST, NEGLIGIBLE, Ground, settle
 from pmbm.filter.update import update
-from pmbm.score import ScoreModel
-from pmbm.types import Detections, FloatArray, Site, Tracks, vouched
+from pmbm.types import Detections, Site, Tracks, unchecked
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class State:
+    """What the tracker knows between two frames.
+
+    time : s, of the last frame; NaN before the first.
+    density : the PMBM density.
+    births : memory of the birth model (`Birth.births`).
+    scene : how many objects the scene has held.
+    ids : which tracks may take over whose id.
+    """
+
+    time: float
+    density: Density
+    births: Any
+    scene: SceneDensity
+    ids: IdInheritance
+
+    @staticmethod
+    def initial(model: PMBMConfig) -> State:
+        """Nothing looked at yet."""
+        density = Density.initial(
+            Mixture.empty(),
+            clustering=model.reduction.clustering,
+            local=Locals.empty(model.report.history, model.scores.classes),
+        )
+        return State(math.nan, density, None, SceneDensity(), IdInheritance())
+
+    @property
+    def started(self) -> bool:
+        return not math.isnan(self.time)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Frame:
+    """One frame of detections, as the model sees it.
+
+    time : s.  dt : s since the frame before; 0 for the first.
+    view : where the sensor looks.  scan : what it measured.
+    transition : how objects moved and lived on since.
+    births : objects that appeared since.  births_memory : of the birth model, after them.
+    """
+
+    time: float
+    dt: float
+    view: View
+    scan: Scan
+    transition: Transition
+    births: Mixture
+    births_memory: Any
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Trace:
+    """What a step leaves to look at.
+
+    predicted : the density before the frame was taken in.  view : where the sensor looked.
+    removed : by the reductions.  seconds : what each part took (never part of a result).
+    """
+
+    predicted: Density
+    view: View
+    removed: ReductionStats
+    seconds: Mapping[str, float]
+
+
+def step(
+    model: PMBMConfig, site: Site, state: State, detections: Detections
+) -> tuple[State, Tracks, Trace]:
+    """The state and the report after one frame, empty or not.
+
+    Raises InputError where time runs backwards.
+    """
+    clock = _Clock()
+    frame = form_frame(model, site, state, detections)
+    predicted, dropped = predicted_density(model, state.density, frame)
+    clock.read("predict")
+    sensor = observe(model, site, frame.view, predicted)
+    association = associate(predicted, frame.scan, sensor, model.reduction)
+    clock.read("associate")
+    # Of a large scene, what hides what takes memory that the rest of the step can use.
+    sensor = replace(sensor, shadows=None)
+    updated = update(predicted, frame.scan, association, sensor)
+    clock.read("update")
+    unlikely, gated = association.dropped, len(association.known.row)
+    # And so does what the scan said.
+    del association
+    density, removed = reduce(updated, model.reduction, model.birth)
+    del updated
+    clock.read("reduce")
+    removed = replace(
+        removed,
+        hypotheses_pruned=removed.hypotheses_pruned + unlikely,
+        undetected_dropped=dropped,
+        pairs_gated=len(predicted.local) * len(frame.scan) - gated,
+    )
+    after, tracks = report(model, state, frame, density)
+    return after, tracks, Trace(predicted, frame.view, removed, clock.seconds)
+
+
+def form_frame(model: PMBMConfig, site: Site, state: State, detections: Detections) -> Frame:
+    """The frame of these detections, `state` being that after the frame before.
+
+    Raises InputError where time runs backwards.
+    """
+    if detections.time < state.time:
+        raise InputError(
+            "detections out of order",
+            field="time",
+            expected=f">= {state.time:g}",
+            got=detections.time,
+        )
+    dt = detections.time - state.time if state.started else 0.0
+    view = View.of(site, detections.sensor_pose)
+    scored = model.scores.read(detections, state.scene)
+    births, memory = model.birth.births(
+        site, view, dt if state.started else None, model.survival, state.births
+    )
+    F, Q = model.motion.transition(dt)
+    survival = model.survival.over(dt)
+    return Frame(
+        time=detections.time,
+        dt=dt,
+        view=view,
+        scan=Scan.of(scored, model.sensor.detection.confidence(scored.detections)),
+        transition=Transition(F, Q, survival, dt, model.sensor.detection, model.scores),
+        births=births,
+        births_memory=memory,
+    )
+
+
+def predicted_density(model: PMBMConfig, density: Density, frame: Frame) -> tuple[Density, float]:
+    """The density as the frame finds it, with undetected objects in the detail that they are kept
+    in, and the expected number of objects that this dropped."""
+    predicted = predict(density, frame.transition, frame.births, model.birth)
+    undetected, dropped = model.birth.reduced(
+        predicted.undetected,
+        frame.view,
+        model.survival,
+        frame.births_memory,
+        model.reduction.prune_undetected,
+    )
+    return predicted.with_undetected(undetected), dropped
+
+
+def observe(model: PMBMConfig, site: Site, view: View, predicted: Density) -> ObservationModel:
+    """The sensor that looks at the predicted objects, some of which hide others."""
+    place_by_place = model.birth.place_by_place
+    sensor = model.sensor.over(view, place_by_place=place_by_place)
+    if not model.sensor.occlusion or not (place_by_place or len(predicted.local)):
+        return sensor
+    return replace(sensor, shadows=Shadows.of(predicted, view.pose, site.occluders))
+
+
+def report(model: PMBMConfig, state: State, frame: Frame, density: Density) -> tuple[State, Tracks]:
+    """The state after the frame, and the tracks that probably exist and are probably in view.  One
+    that has left the view is kept in mind, and reported again where it comes back."""
+    marginal, local = marginals(density), density.local
+    inside = frame.view.share_inside(local.mean, local.cov)[marginal.best]
+    scene = model.scores.observed(state.scene, marginal, inside, frame.dt)
+    exists = marginal.objects(model.scores.object_share(scene))
+    reported = np.flatnonzero((exists > model.report.above) & (inside > 0.5))
+    local = local.take(marginal.best[reported])
+    if model.report.exclusive:
+        # What is known for longer has the priority, if it is there more probably than not.
+        doubtful = exists[reported] <= 0.5
+        order = np.lexsort((density.track_id[reported], doubtful))
+        sure = len(order) - int(np.count_nonzero(doubtful))
+        kept = suppress_overlaps(np.ascontiguousarray(local.mean[:, :2]), local.box, order, sure)
+        if len(kept) < len(local):
+            reported, local = reported[kept], local.take(kept)
+    ids, density = state.ids.after(density, marginal, exists, reported)
+    tracks = unchecked(
+        Tracks,
+        time=frame.time,
+        id=density.track_id[reported],
+        position=np.concatenate([local.mean[:, :2], local.box[:, :1]], axis=1),
+        size=local.box[:, 1:4].copy(),
+        yaw=local.box[:, 4].copy(),
+        velocity=local.mean[:, 2:4].copy(),
+        score=exists[reported],
+        label=model.scores.labels(local),
+        covariance=local.cov,
+        undetected=density.undetected.public(),
+    )
+    return State(frame.time, density, frame.births_memory, scene, ids), tracks
 
 
 class PMBMTracker:
@@ -44,7 +223,7 @@ class PMBMTracker:
 
     Example
     -------
-    >>> tracker = PMBMTracker(PMBMConfig(detection_probability=0.95))
+    >>> tracker = PMBMTracker(PMBMConfig(reduction=Reduction(gate=16.0)))
     >>> tracks = tracker.step(Detections.empty(time=0.0))
     >>> len(tracks)
     0
@@ -53,33 +232,15 @@ class PMBMTracker:
     def __init__(self, config: PMBMConfig | None = None, site: Site | None = None) -> None:
         self.config = config if config is not None else PMBMConfig()
         self.site = site if site is not None else Site()
-        self.density: Density | None = None
-        self.reduced = Reduced()
-        self._before: tuple[Density, View] | None = None
-        self._time = math.nan
-        self._seconds: dict[str, float] = {}
-        self._shape: Mixture | None = None
-        self._shape_pose = np.zeros(3)
-        self._ground: Ground | None = None
-        self._score_model = self.config.score_model or ScoreModel.trusting()
-        self._from_scores = _from_scores(self.config)
-        self._levels = _levels(self.config, self._score_model)
-        self._marks = self._levels or self.config.kinds
-        self._seen = Seen()
-        self._succession = Succession()
-        self._limits = _limits(self.config)
-        self._noise = self.config.measurement_sd**2 * np.eye(2)
-        self.takes_all_labels = (
-            self.config.levels is not None and self.config.levels.label is not None
-        )
-        """Whether `step` wants the detections of all labels though it follows those of one."""
+        self.state = State.initial(self.config)
+        self.trace: Trace | None = None
 
     @classmethod
     def with_map(cls, site: Site | None = None) -> PMBMTracker:
         """The default tracker, with undetected objects kept place by place: a map of where the
         sensor cannot see, whose `Tracks.undetected.expected_count(polygon)` counts them anywhere.
         """
-        return cls(PMBMConfig(undetected_detail=3.5), site)
+        return cls(PMBMConfig(birth=BirthMap()), site)
 
     @classmethod
     def textbook(cls, site: Site | None = None) -> PMBMTracker:
@@ -91,6 +252,16 @@ class PMBMTracker:
         """With `PMBMConfig.paper()`: what Pang & Radha (2021) do differently."""
         return cls(PMBMConfig.paper(), site)
 
+    @property
+    def takes_all_labels(self) -> bool:
+        """Whether `step` wants the detections of all labels though it follows those of one."""
+        return self.config.scores.needs_all_labels
+
+    @property
+    def density(self) -> Density | None:
+        """The PMBM density after the last step; None before the first."""
+        return self.state.density if self.state.started else None
+
     def step(self, detections: Detections, /) -> Tracks:
         """Take in one frame, empty or not, and report the objects that probably exist.
 
@@ -98,227 +269,29 @@ class PMBMTracker:
 
         Raises InputError, the tracker unchanged, where time runs backwards.
         """
-        config = self.config
-        clock = _Clock()
-        view = View.of(self.site, detections.sensor_pose)
-        scan = self._scan(detections)
-        dt = 0.0
-        if self.density is None:
-            predicted = Density.initial(
-                self._first(view),
-                clustering=config.clustering,
-                local=Locals.empty(
-                    config.history,
-                    confidence=self._from_scores is not None,
-                    kinds=0 if self._marks is None else self._marks.birth.shape[-1],
-                    seen=config.visibility is not None,
-                ),
-            )
-        else:
-            dt = self._elapsed(detections.time)
-            predicted = predict(
-                self.density,
-                self._transition(dt),
-                self._births(view, dt),
-                merge_births=config.merge_undetected > 0 and config.undetected_detail is None,
-            )
-        predicted, dropped = self._settled(predicted, view)
-        clock.read("predict")
-        sensor = self._sensor(view, predicted)
-        # The tracker stands at this frame's time from here on, and lets go of what came before.
-        self.density, self._time, self._before = predicted, detections.time, (predicted, view)
-        association = associate(
-            predicted,
-            scan,
-            sensor,
-            gate_threshold=config.gate,
-            max_hypotheses=config.max_hypotheses,
-            negligible=config.prune_hypothesis,
-            clustering=config.clustering,
-        )
-        clock.read("associate")
-        # Of a large scene, what hides what takes memory that the rest of the step can use.
-        sensor = replace(sensor, shadows=None)
-        updated = update(predicted, scan, association, sensor)
-        clock.read("update")
-        unlikely, gated = association.dropped, len(association.known.row)
-        # And so does what the scan said.
-        del association
-        self.density, reduced = reduce(updated, self._limits)
-        del updated
-        self.reduced = replace(
-            reduced,
-            hypotheses_pruned=reduced.hypotheses_pruned + unlikely,
-            undetected_dropped=dropped,
-            pairs_gated=len(predicted.local) * len(scan) - gated,
-        )
-        clock.read("reduce")
-        self._seconds = clock.seconds
-        return self._report(self.density, view, dt)
+        self.state, tracks, self.trace = step(self.config, self.site, self.state, detections)
+        return tracks
 
     def inspect(self) -> Inspection:
-        """Every track's hypotheses with weights and, where `config.history` says to keep them,
-        association histories; how well the sensor could see it; what the last step's reductions
-        removed; how long its parts took.
+        """Every track's hypotheses with weights and, where `config.report.history` says to keep
+        them, association histories; how well the sensor could see it; what the last step's
+        reductions removed; how long its parts took.
 
         Raises InputError before the first step.
         """
-        if self.density is None or self._before is None:
+        if self.trace is None:
             raise InputError("nothing to inspect before the first step")
-        predicted, view = self._before
+        trace, state, config = self.trace, self.state, self.config
         return inspect(
-            self.density,
-            predicted,
-            self._sensor(view, predicted),
+            state.density,
+            trace.predicted,
+            observe(config, self.site, trace.view, trace.predicted),
             self.site.occluders,
-            time=self._time,
-            report_above=self.config.report_above,
-            object_share=self._object_share(),
-            reduced=self.reduced,
-            seconds=self._seconds,
-        )
-
-    def _elapsed(self, time: float) -> float:
-        if time < self._time:
-            raise InputError(
-                "detections out of order", field="time", expected=f">= {self._time:g}", got=time
-            )
-        return time - self._time
-
-    def _scan(self, detections: Detections) -> Scan:
-        """The measurements, with what their scores say under this configuration."""
-        config = self.config
-        speaking, evidence, births = config.scores, None, None
-        if self._levels is not None:
-            detections, log_odds = self._levels.own(detections)
-            evidence = self._levels.evidence(log_odds)
-            births = self._levels.birth_after(self._seen, detections.distance)
-        elif config.kinds is not None:
-            evidence, births = config.kinds.evidence(detections), config.kinds.birth
-        scan = Scan.of(detections, evidence, births)
-        if self._marks is not None:
-            speaking = "ignore"
-        if speaking == "ignore" and self._from_scores is None:
-            return scan
-        given = self._score_model.read(detections)
-        s = np.clip(self._score_model.evidence(given), 1e-3, 1 - 1e-3)
-        if speaking == "everywhere":
-            scan = replace(scan, evidence=(s / (1 - s))[:, None])
-        return replace(
-            scan,
-            first=np.column_stack([2 * s, 2 * (1 - s)]) if speaking == "first" else None,
-            confidence=s if self._from_scores is not None else None,
-        )
-
-    def _transition(self, dt: float) -> Transition:
-        config = self.config
-        F, Q = constant_velocity(dt, config.spectral_density)
-        survival = survival_over(dt, config.survival, config.survival_interval)
-        return Transition(F, Q, survival, dt, config.visibility, self._levels)
-
-    def _first(self, view: View) -> Mixture:
-        if self.config.undetected_detail is not None:
-            return self._on_ground(view, 0.0, self.config.undetected_detail)
-        return self._spread(view, self.config.initial_objects)
-
-    def _births(self, view: View, dt: float) -> Mixture:
-        config = self.config
-        expected = births_over(dt, config.birth_rate, config.survival, config.survival_interval)
-        if config.undetected_detail is not None:
-            return self._on_ground(view, expected, config.undetected_detail)
-        return self._spread(view, expected)
-
-    def _on_ground(self, view: View, expected: float, spacing: float) -> Mixture:
-        """Births, and what ground that the map comes to cover may hold from before."""
-        before = self._ground
-        self._ground = ground = Ground.of(self.site, view, spacing, before)
-        weight = expected * ground.births()
-        weight += self.config.initial_objects * ground.newly_covered(before)
-        return ground.mixture(weight, spacing, self.config.birth_speed_sd)
-
-    def _settled(self, predicted: Density, view: View) -> tuple[Density, float]:
-        """The PPP with the detail that it is to have, and the mass that this dropped."""
-        config = self.config
-        if config.undetected_detail is None or self._ground is None:
-            return predicted, 0.0
-        each = births_over(
-            config.survival_interval, config.birth_rate, config.survival, config.survival_interval
-        ) / max(1, self._ground.cells)
-        undetected, dropped = settle(
-            predicted.undetected,
-            view,
-            config.undetected_detail,
-            most=min(config.max_undetected, MOST),
-            negligible=min(config.prune_undetected, NEGLIGIBLE * each),
-            fine_above=FINE * each,
-        )
-        return predicted.with_undetected(undetected), dropped
-
-    def _spread(self, view: View, expected: float) -> Mixture:
-        if expected == 0:
-            return Mixture.empty()
-        shape = self._shape
-        if shape is None or not np.array_equal(view.pose, self._shape_pose):
-            shape = spread_over(view, self.config.birth_components, self.config.birth_speed_sd)
-            self._shape, self._shape_pose = shape, view.pose
-        return Mixture(shape.log_weight + math.log(expected), shape.mean, shape.cov)
-
-    def _sensor(self, view: View, predicted: Density) -> Sensor:
-        config = self.config
-        detailed = config.undetected_detail is not None
-        hides = config.occlusion and (detailed or len(predicted.local) > 0)
-        return Sensor(
-            R=self._noise,
-            detection=config.detection_probability,
-            clutter=config.clutter_rate / view.area,
-            view=view,
-            from_scores=self._from_scores,
-            visibility=config.visibility,
-            scaled_misses=config.miss_rule == "scaled",
-            newest_box=config.newest_box,
-            shadows=Shadows.of(predicted, view.pose, self.site.occluders) if hides else None,
-            undetected_in_detail=detailed,
-        )
-
-    def _object_share(self) -> FloatArray | None:
-        """P(object) of a source of each kind, in this scene; None without marks."""
-        if self._levels is not None:
-            return self._levels.object_after(self._seen)
-        return None if self._marks is None else self._marks.object
-
-    def _report(self, density: Density, view: View, dt: float) -> Tracks:
-        """The tracks that probably exist and are probably in view, `dt` after those before.  One
-        that has left the view is kept in mind, and reported again where it comes back."""
-        marginal, local = marginals(density), density.local
-        inside = view.share_inside(local.mean, local.cov)[marginal.best]
-        if self._levels is not None and self._levels.usual is not None:
-            usually = marginal.objects(self._levels.object)
-            number = float(usually @ inside)
-            self._seen = self._seen.after(dt, number, self._levels.memory)
-        exists = marginal.objects(self._object_share())
-        reported = np.flatnonzero((exists > self.config.report_above) & (inside > 0.5))
-        local = local.take(marginal.best[reported])
-        if self.config.exclusive:
-            # What is known for longer has the better claim, if it is there more probably than not.
-            doubtful = exists[reported] <= 0.5
-            claims = np.lexsort((density.track_id[reported], doubtful))
-            sure = len(claims) - int(np.count_nonzero(doubtful))
-            stands = apart(np.ascontiguousarray(local.mean[:, :2]), local.box, claims, sure)
-            if len(stands) < len(local):
-                reported, local = reported[stands], local.take(stands)
-        self._succession, self.density = self._succession.after(density, marginal, exists, reported)
-        return vouched(
-            Tracks,
-            time=self._time,
-            id=self.density.track_id[reported],
-            position=np.concatenate([local.mean[:, :2], local.box[:, :1]], axis=1),
-            size=local.box[:, 1:4].copy(),
-            yaw=local.box[:, 4].copy(),
-            velocity=local.mean[:, 2:].copy(),
-            score=exists[reported],
-            label=local.label if self.config.kinds is None else _labels(local),
-            covariance=local.cov,
-            undetected=density.undetected.public(),
+            time=state.time,
+            report_above=config.report.above,
+            object_share=config.scores.object_share(state.scene),
+            reduced=trace.removed,
+            seconds=trace.seconds,
         )
 
 
@@ -333,35 +306,3 @@ class _Clock:
     def read(self, what: str) -> None:
         now = perf_counter()
         self.seconds[what], self._last = now - self._last, now
-
-
-def _labels(local: Locals) -> NDArray[np.int8]:
-    """The likeliest label of each row, by all of its detections."""
-    assert local.kind is not None
-    return local.kind[:, :GHOST].argmax(axis=1).astype(np.int8)
-
-
-def _levels(config: PMBMConfig, scores: ScoreModel) -> Levels | None:
-    """What the configuration says of the levels of scores, unless `kinds` say it all."""
-    if config.scores == "lasting" and config.levels is None and config.kinds is None:
-        return Levels.at_their_word(scores)
-    return config.levels
-
-
-def _limits(config: PMBMConfig) -> Limits:
-    limits = Limits(**{name: getattr(config, name) for name in Limits.__slots__})
-    if config.undetected_detail is None:
-        return limits
-    # Undetected objects are merged and dropped where they are settled.
-    return replace(limits, prune_undetected=0.0, merge_undetected=0.0)
-
-
-def _from_scores(config: PMBMConfig) -> DetectionFromScores | None:
-    if config.detection_from_scores == "off":
-        return None
-    return DetectionFromScores(
-        config.detection_low,
-        config.detection_high,
-        config.detection_from_scores == "rising",
-        config.newest_score,
-    )

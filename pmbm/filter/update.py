@@ -9,28 +9,41 @@ known track, detected         1                           Kalman update
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from pmbm import compiled
 from pmbm.filter.association import Association
 from pmbm.filter.density import (
     BEFORE,
     MISSED,
+    STATE,
     Density,
     Globals,
     Index,
     Locals,
     Mixture,
 )
-from pmbm.filter.gaussian import corrected, corrected_cov, corrected_mean, gain, moments
-from pmbm.filter.models import Sensor
-from pmbm.filter.resumption import ids_of_new
+from pmbm.filter.hypotheses.gating import FirstDetectionDensity
+from pmbm.filter.hypotheses.gaussian import (
+    Innovation,
+    corrected,
+    corrected_cov,
+    corrected_mean,
+    gain,
+    moments,
+)
+from pmbm.filter.hypotheses.weights import normalised
+from pmbm.filter.identity.recycling import ids_of_new
+from pmbm.filter.models.sensor import ObservationModel
 from pmbm.filter.scan import Scan
-from pmbm.filter.weights import normalised
+from pmbm.kernels import twin
 from pmbm.types import FloatArray
 
 
-def update(density: Density, scan: Scan, association: Association, sensor: Sensor) -> Density:
+def update(
+    density: Density, scan: Scan, association: Association, sensor: ObservationModel
+) -> Density:
     """The density given the scan: Bayes' rule under every association hypothesis."""
     H, n = len(density.local), len(association.known.row)
     table = association.hypotheses
@@ -52,12 +65,10 @@ def update(density: Density, scan: Scan, association: Association, sensor: Senso
     )
 
 
+@twin("used")
 def _used(member: Index, H: int, n: int, M: int) -> tuple[Index, Index, Index, Index]:
     """Of candidates H missed, n detected and M new, those that are members (E,) of a hypothesis,
     and what the members are called among these."""
-    if compiled.native is not None:
-        missed, detected, new, renumbered = compiled.native.used(member, H, n, M)
-        return missed, detected, new, renumbered
     used = np.zeros(H + n + M, bool)
     used[member] = True
     return (
@@ -72,12 +83,14 @@ def _still_undetected(ppp: Mixture, association: Association) -> Mixture:
     detection = association.detection_undetected
     with np.errstate(divide="ignore"):
         log_weight = ppp.log_weight + np.log1p(-detection)
-    return Mixture(log_weight, *association.undetected_if_missed, ppp.origin)
+    return Mixture(log_weight, *association.undetected_if_missed, ppp.recycled_from)
 
 
-def _missed(local: Locals, association: Association, sensor: Sensor, rows: Index) -> Locals:
+def _missed(
+    local: Locals, association: Association, sensor: ObservationModel, rows: Index
+) -> Locals:
     mean, cov = association.known_if_missed
-    seen = sensor.seen_if_missed(local.seen, association.detection)
+    marks = sensor.detection.if_missed(local.marks, association.detection)
     history = _remember(local.history, MISSED)
     return Locals(
         local.track,
@@ -87,19 +100,18 @@ def _missed(local: Locals, association: Association, sensor: Sensor, rows: Index
         local.box,
         local.label,
         history,
-        local.confidence,
-        local.kind,
-        seen,
+        marks,
     ).take(rows)
 
 
 def _detected(
-    local: Locals, scan: Scan, association: Association, sensor: Sensor, pairs: Index
+    local: Locals, scan: Scan, association: Association, sensor: ObservationModel, pairs: Index
 ) -> Locals:
     known = association.known
     row, measurement = known.row[pairs], known.measurement[pairs]
     mean, cov = corrected(local.mean, local.cov, known.innovation, row, known.y[pairs], sensor.R)
-    confidence = None if local.confidence is None else local.confidence[row]
+    before = local.marks.take(row)
+    told = replace(before, source=scan.source_after(before.source, measurement))
     return Locals(
         local.track[row],
         np.ones(len(pairs)),
@@ -108,14 +120,16 @@ def _detected(
         sensor.boxed(local.box[row], scan.box[measurement]),
         scan.label[measurement],
         _remember(local.history[row], measurement),
-        confidence=sensor.remembered(confidence, scan.confidence, measurement),
-        kind=None if local.kind is None else scan.kind_after(local.kind[row], measurement),
-        seen=sensor.seen_if_detected(None if local.seen is None else local.seen[row]),
+        sensor.detection.if_detected(told, scan.confidence[measurement]),
     )
 
 
 def _first_detected(
-    density: Density, scan: Scan, association: Association, sensor: Sensor, measurements: Index
+    density: Density,
+    scan: Scan,
+    association: Association,
+    sensor: ObservationModel,
+    measurements: Index,
 ) -> Locals:
     """A Bernoulli for each measurement: the object that it may be the first detection of.
 
@@ -126,46 +140,71 @@ def _first_detected(
     L = density.local.history.shape[1]
     return Locals(
         len(density.track_id) + measurements,
-        np.exp(association.log_first - association.log_new)[measurements],
+        np.exp(association.log_birth_evidence - association.log_new)[measurements],
         mean,
         cov,
         scan.box[measurements],
         scan.label[measurements],
         _remember(np.full((len(measurements), L), BEFORE, np.int32), measurements),
-        confidence=None if scan.confidence is None else scan.confidence[measurements],
-        kind=None if scan.kinds is None else scan.kind_first(measurements),
-        seen=sensor.seen_if_detected(sensor.seen_usually(len(measurements))),
+        sensor.detection.first(scan.source_if_first(measurements), scan.confidence[measurements]),
     )
 
 
 def _fused(
-    ppp: Mixture, scan: Scan, association: Association, sensor: Sensor, measurements: Index
+    ppp: Mixture,
+    scan: Scan,
+    association: Association,
+    sensor: ObservationModel,
+    measurements: Index,
 ) -> tuple[FloatArray, FloatArray]:
     """Means (n,4) and covariances (n,4,4) of the objects that these measurements (n,) may be the
     first detections of."""
-    n = len(measurements)
-    mean = np.zeros((n, 4))
-    mean[:, :2] = scan.position[measurements]
-    cov = np.zeros((n, 4, 4))
-    cov[:, :2, :2] = cov[:, 2:, 2:] = sensor.R
-    priced = association.undetected
+    density = association.undetected
     z = np.ascontiguousarray(scan.position[measurements])
-    if compiled.native is not None:
-        components = *priced.innovation.columns(), priced.log_height, ppp.mean, ppp.cov
-        log_e = association.log_e[measurements]
-        compiled.native.fuse(*components, sensor.R, z, log_e, priced.gate, mean, cov)
-        return mean, cov
-    pairs = priced.pairs(z)
+    return _fuse(
+        *density.innovation.columns(),
+        density.log_height,
+        ppp.mean,
+        ppp.cov,
+        sensor.R,
+        z,
+        association.log_e[measurements],
+        density.gate,
+    )
+
+
+@twin("fuse")
+def _fuse(
+    expected: FloatArray,
+    l11: FloatArray,
+    l21: FloatArray,
+    l22: FloatArray,
+    log_height: FloatArray,
+    mean_of: FloatArray,
+    cov_of: FloatArray,
+    R: FloatArray,
+    z: FloatArray,
+    log_e: FloatArray,
+    threshold: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Moments of what the components (P,) in whose gate each z (n,2) lies become by it."""
+    n = len(z)
+    mean = np.zeros((n, STATE))
+    mean[:, :2] = z
+    cov = np.zeros((n, STATE, STATE))
+    cov[:, :2, :2] = cov[:, 2:4, 2:4] = R
+    density = FirstDetectionDensity(Innovation(expected, l11, l21, l22), log_height, threshold)
+    pairs = density.pairs(z)
     if len(pairs.row):
-        W = gain(ppp.cov, priced.innovation)
-        after = corrected_cov(ppp.cov, W, sensor.R, priced.innovation)
+        W = gain(cov_of, density.innovation)
+        after = corrected_cov(cov_of, W, R, density.innovation)
         order = np.argsort(pairs.measurement, kind="stable")
         component, target = pairs.row[order], pairs.measurement[order]
         first = np.flatnonzero(np.diff(target, prepend=-1))
-        seen = target[first]
-        mean[seen], cov[seen] = moments(
+        found = target[first]
+        mean[found], cov[found] = moments(
             np.exp(normalised(pairs.log_weight[order], target)),
-            corrected_mean(ppp.mean[component], W[component], pairs.y[order]),
+            corrected_mean(mean_of[component], W[component], pairs.y[order]),
             after[component],
             first,
         )

@@ -45,12 +45,6 @@ class Reliability:
         )
 
     @property
-    def brier(self) -> float | None:
-        """Mean squared difference of probability and truth; 0 is best; None without reports."""
-        total = int(self.count.sum())
-        return self.square_sum / total if total else None
-
-    @property
     def expected_error(self) -> float | None:
         """Mean over reports of |mean probability - share that is true| of their bin."""
         total = int(self.count.sum())

@@ -22,8 +22,6 @@ BoolArray = NDArray[np.bool_]
 
 CUTOFFS: Final[FloatArray] = np.append(np.arange(100) * 0.01, 1.0)
 """Scores are compared with them in single precision, as they are stored."""
-RANGES: Final = {"[0, 30)": (0.0, 30.0), "[30, 50)": (30.0, 50.0), "[50, +inf)": (50.0, np.inf)}
-"""Shards by distance of a box's own centre from the vehicle, m."""
 LEVELS: Final = (1, 2)
 _SMALLEST_SIDE: Final = 0.01
 

@@ -21,7 +21,7 @@ class ConfiguredTracker:
 
     factory : a shipped name or MODULE:FACTORY.
     parameters : keyword arguments of the factory; or, where the factory takes one `config`, fields
-        of that dataclass.
+        of that dataclass, as nested tables or by dotted names ("sensor.clutter_rate").
 
     Raises InputError for an unknown tracker or parameter, with the nearest valid name.
     """
@@ -43,9 +43,7 @@ class ConfiguredTracker:
         accepted = [name for name in signature.parameters if name != "site"]
         config = _config_type(factory) if "config" in accepted else None
         if config is not None:
-            valid = [field.name for field in dataclasses.fields(config)]
-            self._check(parameters, valid)
-            keywords = {"config": _built(config, parameters, "")}
+            keywords = {"config": from_table(config, nested(parameters))}
         else:
             anything = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
             self._check(parameters, list(parameters) if anything else accepted)
@@ -71,31 +69,95 @@ def follow(tracker: TrackerFactory | str, recording: Recording, seed: int) -> Tr
     return track(factory, recording, seed)
 
 
-def _built(kind: Any, values: Mapping[str, Any], path: str) -> Any:
+def nested(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters as nested tables: a dotted name stands for a value in a table, and of two of one
+    place the later counts."""
+    table: dict[str, Any] = {}
+    for name, value in parameters.items():
+        *path, last = name.split(".")
+        place = table
+        for part in path:
+            inner = place.get(part)
+            place[part] = place = dict(inner) if isinstance(inner, Mapping) else {}
+        place[last] = value
+    return table
+
+
+def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested tables of which the values of `over` count, but where a table of another `kind` stands
+    in its place."""
+    result = dict(under)
+    for name, value in over.items():
+        below = result.get(name)
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            same_kind = value.get("kind", below.get("kind")) == below.get("kind")
+            result[name] = merged(below, value) if same_kind else value
+        else:
+            result[name] = value
+    return result
+
+
+def from_table(config: Any, values: Mapping[str, Any], path: str = "") -> Any:
     """A dataclass from its fields; fields that are dataclasses themselves may be given as tables of
-    theirs, as a file has them."""
-    hints = typing.get_type_hints(kind)
+    theirs, as a file has them, those of several members with their `kind`: such a field's
+    annotation holds what gives the class `of_kind`.
+
+    Raises InputError, with the dotted name of the field.
+    """
+    hints = typing.get_type_hints(config, include_extras=True)
+    names = [field.name for field in dataclasses.fields(config)]
     given = {}
     for name, value in values.items():
-        if name not in hints:
+        if name not in names:
             raise InputError(
-                "unknown parameter",
+                f"{config.__name__} has no '{name}'",
                 field=path + name,
-                hint=nearest_hint(name, [field.name for field in dataclasses.fields(kind)]),
+                hint=_renamed(config, name) or nearest_hint(name, names, "parameter"),
             )
-        inner = _dataclass_in(hints[name])
-        nested = inner is not None and isinstance(value, Mapping)
-        given[name] = _built(inner, value, f"{path}{name}.") if nested else value
+        if isinstance(value, Mapping):
+            value = _member(config, name, hints[name], value, f"{path}{name}.")
+        given[name] = value
     missing = [
         field.name
-        for field in dataclasses.fields(kind)
+        for field in dataclasses.fields(config)
         if field.name not in given
         and field.default is dataclasses.MISSING
         and field.default_factory is dataclasses.MISSING
     ]
     if missing:
         raise InputError("missing parameter", field=path + missing[0])
-    return kind(**given)
+    try:
+        return config(**given)
+    except InputError as error:
+        where = error.field or ""
+        raise (error if where.startswith(path) else error.located(field=path + where)) from None
+
+
+def _renamed(config: Any, name: str) -> str | None:
+    """The hint for a name that the PMBM tracker's configuration had, in any part of it."""
+    if not config.__module__.startswith("pmbm.filter."):
+        return None
+    from pmbm.filter.config import renamed
+
+    return renamed(name)
+
+
+def _member(config: Any, name: str, hint: Any, value: Mapping[str, Any], path: str) -> Any:
+    """The value of a field that a file gives as a table."""
+    values = dict(value)
+    members = next(
+        (one for one in getattr(hint, "__metadata__", ()) if hasattr(one, "of_kind")), None
+    )
+    if members is None:
+        inner = _dataclass_in(hint)
+        return value if inner is None else from_table(inner, values, path)
+    if "kind" in values:
+        try:
+            return from_table(members.of_kind(values.pop("kind")), values, path)
+        except InputError as error:
+            raise (error if error.field != "kind" else error.located(field=f"{path}kind")) from None
+    (default,) = (one for one in dataclasses.fields(config) if one.name == name)
+    return from_table(default.default_factory, values, path)
 
 
 def _config_type(factory: TrackerFactory) -> Any:

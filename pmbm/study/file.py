@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pmbm.errors import InputError, nearest_hint
-from pmbm.study.configured import ConfiguredTracker
+from pmbm.study.configured import ConfiguredTracker, merged, nested
 from pmbm.study.design import Point, grid, latin_hypercube
 from pmbm.study.study import Cell, Resolve, Study
 
@@ -149,7 +149,7 @@ def _tracker(name: str, written: TrackerForm | None, file: Path, point: Point) -
     parameters: dict[str, Any] = {}
     if written is not None:
         stored = {} if written.config is None else _document(file.parent / written.config)
-        parameters = {**stored, **written.parameters}
+        parameters = merged(nested(stored), nested(written.parameters))
     own = f"{_TRACKER}{name}."
     parameters |= {key[len(own) :]: v for key, v in point.items() if key.startswith(own)}
     return ConfiguredTracker(factory, tuple(sorted(parameters.items())))
@@ -164,8 +164,11 @@ def _check_tracker_keys(form: StudyForm, design: list[Point]) -> None:
                 hint=nearest_hint(name, form.trackers, "tracker"),
             )
     for key in design[0]:
-        owner = key.removeprefix(_TRACKER).rpartition(".")[0]
-        if key.startswith(_TRACKER) and owner not in form.trackers:
+        if not key.startswith(_TRACKER):
+            continue
+        swept = key.removeprefix(_TRACKER)
+        if not any(swept.startswith(f"{name}.") for name in form.trackers):
+            owner = swept.partition(".")[0]
             raise InputError(
                 f"no tracker '{owner}' in this study",
                 field=f"sweep: {key}",

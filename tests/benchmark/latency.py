@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from world import World
 
-from pmbm import PMBMTracker, Recording, compiled
+from pmbm import PMBMTracker, Recording, kernels
 
 SEEDS = range(5)
 FRAMES = 100
@@ -22,7 +22,7 @@ Figure = tuple[float, dict[str, Any]]
 def l_compiled() -> Figure:
     """Milliseconds, 99th percentile of a step: 100 objects at 10 Hz through the nominal detector
     model, and KITTI's detections where they are at hand; the worse of the two."""
-    return _worst(compiled.native)
+    return _worst(kernels.native)
 
 
 def l_reference() -> Figure:
@@ -31,13 +31,13 @@ def l_reference() -> Figure:
 
 
 def _worst(kernel: Any) -> Figure:
-    chosen = compiled.native
-    compiled.native = kernel
+    chosen = kernels.native
+    kernels.native = kernel
     try:
         scenes = {"simulated": _simulated(), **_kitti()}
         p99 = {name: 1e3 * _p99(recordings) for name, recordings in scenes.items()}
     finally:
-        compiled.native = chosen
+        kernels.native = chosen
     return max(p99.values()), {f"{name}_p99_ms": value for name, value in p99.items()}
 
 

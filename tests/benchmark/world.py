@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from pmbm import Detections, GroundTruth, PMBMConfig, Recording, Site
+from pmbm.filter import BroadBirth, Sensor
 from pmbm.labels import Label
 
 DT = 0.1
@@ -40,19 +40,18 @@ class World:
     def site(self) -> Site:
         return Site(max_range=self.side * math.sqrt(0.5) + self.spacing)
 
-    def config(self, **changes: Any) -> PMBMConfig:
-        """The default preset, told the world's rates and that nothing hides behind anything here.
+    def config(self, *, occlusion: bool = False) -> PMBMConfig:
+        """The default preset, told the world's rates and, unless asked, that nothing hides behind
+        anything here.
 
         Clutter and objects at the start are rates over the field of view, a disk, and the square is
         only a part of it.
         """
         share = math.pi * self.site.max_range**2 / self.side**2
-        rates = {
-            "clutter_rate": self.objects / 5 * share,
-            "initial_objects": self.objects * share,
-            "occlusion": False,
-        }
-        return PMBMConfig(**{**rates, **changes})
+        return PMBMConfig(
+            sensor=Sensor(clutter_rate=self.objects / 5 * share, occlusion=occlusion),
+            birth=BroadBirth(initial=self.objects * share),
+        )
 
     def frames(self, count: int) -> list[tuple[GroundTruth, Detections]]:
         """The first `count` frames."""

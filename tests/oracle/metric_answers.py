@@ -31,7 +31,6 @@ from pmbm.metrics.trackeval import trackeval_counts, trackeval_scores
 from pmbm.metrics.trajectory import ospa2_series
 from pmbm.metrics.waymo import (
     CUTOFFS,
-    RANGES,
     WaymoCounts,
     WaymoScene,
     waymo_counts,
@@ -40,6 +39,8 @@ from pmbm.metrics.waymo import (
 )
 
 Case = dict[str, Any]
+RANGES = {"[0, 30)": (0.0, 30.0), "[30, 50)": (30.0, 50.0), "[50, +inf)": (50.0, np.inf)}
+"""Shards by distance of a box's own centre from the vehicle, m."""
 WAYMO_LEAST_OVERLAP = {"VEHICLE": 0.7}
 
 

@@ -17,19 +17,19 @@ from __future__ import annotations
 import json
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from filter_problems import KEEP_ALL, plain_sensor, scan_of
 from scipy.optimize import linear_sum_assignment
 
 from pmbm.filter.association import associate
 from pmbm.filter.density import BEFORE, Density, Locals, Mixture
 from pmbm.filter.estimation import best_hypothesis, map_cardinality, most_certain_hypothesis
-from pmbm.filter.models import Sensor, Transition
-from pmbm.filter.prediction import predict
-from pmbm.filter.reduction import Limits, reduce
-from pmbm.filter.scan import Scan
+from pmbm.filter.prediction import Transition, predict
+from pmbm.filter.reduction import reduce
 from pmbm.filter.update import update
 
 FOLDER = Path(os.environ.get("PMBM_FILTER_CASES") or Path(__file__).parent / "filter")
@@ -60,9 +60,12 @@ class Comparison:
 
 
 class Case:
-    """Models and limits of a case, turned into the filter's state order [x, y, vx, vy]."""
+    """Models and limits of a case, turned into the filter's state order [x, y, vx, vy].
 
-    def __init__(self, values, state, gate, limits, murty):
+    murty : most children of a step's parents, before `limits` are applied.
+    """
+
+    def __init__(self, values, state, limits, murty):
         names = [name.strip() for name in state.strip("[] ").split(",")]
         order = [names.index(name) for name in ("px", "py", "vx", "vy")]
         self.order = order
@@ -72,11 +75,12 @@ class Case:
         self.transition = Transition(
             np.asarray(values["F"])[square], np.asarray(values["Q"])[square], float(values["p_S"])
         )
-        self.sensor = Sensor(
+        self.sensor = plain_sensor(
             np.asarray(values["R"]), float(values["p_D"]), float(values["clutter_intensity"])
         )
         self.birth = self.mixture(values["birth_w"], values["birth_mean"], values["birth_cov"])
-        self.gate, self.limits, self.murty = gate, limits, murty
+        self.limits = limits
+        self.branching = replace(limits, max_hypotheses=murty, prune_hypothesis=0.0)
 
     def mixture(self, weight, mean, cov):
         square = np.ix_(self.order, self.order)
@@ -92,15 +96,8 @@ class Case:
     def step(self, density, z, first):
         """One step of the filter: predicted, association, updated, reduced."""
         predicted = density if first else predict(density, self.transition, self.birth)
-        scan = Scan.of_positions(z)
-        association = associate(
-            predicted,
-            scan,
-            self.sensor,
-            gate_threshold=self.gate,
-            max_hypotheses=self.murty,
-            clustering=False,
-        )
+        scan = scan_of(z)
+        association = associate(predicted, scan, self.sensor, self.branching)
         updated = update(predicted, scan, association, self.sensor)
         return predicted, association, updated, reduce(updated, self.limits)[0]
 
@@ -225,21 +222,18 @@ def gospa_squared(truth, estimate, p, c):
 def scenario_case():
     params = json.loads((FOLDER / "params_scenario.json").read_text())
     assert params["recycling"] == "none"
-    limits = Limits(
+    limits = replace(
+        KEEP_ALL,
+        gate=params["gate_mahalanobis_sq"],
         prune_hypothesis=params["T_pruning_global"],
         max_hypotheses=params["N_hyp_max"],
         recycle_below=params["existence_threshold"],
         recycle=False,
-        max_tracks=10**9,
         prune_undetected=params["T_pruning_ppp"],
-        merge_undetected=0.0,
-        max_undetected=10**9,
-        clustering=False,
-        split_below=0.0,
     )
     found = re.search(r"ceil\((\d+)\s*\*", str(params["murty_k"]))
     murty = int(found.group(1)) if found else params["N_hyp_max"]
-    case = Case(params, params["state"], params["gate_mahalanobis_sq"], limits, murty)
+    case = Case(params, params["state"], limits, murty)
 
     def given(name):
         value = params[f"initial_ppp_{name}"]
@@ -320,19 +314,7 @@ def test_every_hypothesis_of_every_step(path):
 @pytest.mark.parametrize("path", TINY, ids=lambda path: path.stem)
 def test_a_tiny_problem_solved_exactly(path):
     values = load(path)
-    everything = Limits(
-        prune_hypothesis=0.0,
-        max_hypotheses=10**9,
-        recycle_below=0.0,
-        recycle=False,
-        max_tracks=10**9,
-        prune_undetected=0.0,
-        merge_undetected=0.0,
-        max_undetected=10**9,
-        clustering=False,
-        split_below=0.0,
-    )
-    case = Case(values, "[px, vx, py, vy]", 1e12, everything, 10**9)
+    case = Case(values, "[px, vx, py, vy]", replace(KEEP_ALL, recycle=False), 10**9)
     compare = Comparison(rtol=1e-9, atol=1e-9)
     density = case.initial(
         case.mixture(values["init_w"], values["birth_mean"], values["birth_cov"]), 99

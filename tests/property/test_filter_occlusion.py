@@ -4,17 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from filter_problems import KEEP_ALL, bernoullis, plain_sensor, scan_of
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from pmbm import Detections, Site
-from pmbm.filter import PMBMConfig, PMBMTracker, Visibility
+from pmbm.filter import (
+    ConstantVelocity,
+    DetectionChain,
+    FixedDetection,
+    IgnoreScores,
+    PMBMConfig,
+    PMBMTracker,
+    Sensor,
+    Survival,
+)
 from pmbm.filter.association import associate
-from pmbm.filter.density import MISSED, Density, Globals, Locals, Mixture
-from pmbm.filter.models import Sensor, constant_velocity
-from pmbm.filter.occlusion import Shadows
-from pmbm.filter.rays import BEARINGS, box_rays, outline_rays
-from pmbm.filter.scan import Scan
+from pmbm.filter.density import MISSED, Density, Globals, Mixture
+from pmbm.filter.models.occlusion import Shadows
+from pmbm.filter.models.rays import BEARINGS, box_rays, outline_rays
 from pmbm.filter.update import update
 from pmbm.geometry import corners, visible_fraction
 
@@ -25,14 +33,13 @@ def density_of(boxes, existence):
     """One hypothesis with one track a box: (x, y, length, width, yaw)."""
     boxes = np.asarray(boxes, dtype=float)
     n = len(boxes)
-    local = Locals(
+    local = bernoullis(
         np.arange(n),
-        np.asarray(existence, dtype=float),
+        existence,
         np.column_stack([boxes[:, :2], np.zeros((n, 2))]),
         np.tile(1e-12 * np.eye(4), (n, 1, 1)),
-        np.column_stack([np.zeros(n), boxes[:, 2:4], np.ones(n), boxes[:, 4]]),
-        np.zeros(n, np.int8),
-        np.full((n, 1), MISSED, np.int32),
+        box=np.column_stack([np.zeros(n), boxes[:, 2:4], np.ones(n), boxes[:, 4]]),
+        history=np.full((n, 1), MISSED, np.int32),
     )
     table = Globals(np.zeros(1, np.intp), np.zeros(1), np.array([0, n]), np.arange(n))
     return Density(Mixture.empty(), local, table, np.arange(n), n)
@@ -226,7 +233,12 @@ def test_a_missed_track_is_rather_where_it_is_hidden():
 def test_what_leaks_out_of_a_shadow_is_lost_once():
     """A hidden track's existence is that of particles behind the same wall, to a few hundredths."""
     wall = np.array([[19.0, -14.0], [20.0, -14.0], [20.0, 14.0], [19.0, 14.0]])
-    config = PMBMConfig(visibility=None, survival=1.0, clutter_rate=1.0, spectral_density=1.0)
+    config = PMBMConfig(
+        motion=ConstantVelocity(acceleration_density=1.0),
+        survival=Survival(probability=1.0),
+        sensor=Sensor(detection=FixedDetection(probability=0.95), clutter_rate=1.0),
+        scores=IgnoreScores(),
+    )
     tracker = PMBMTracker(config, Site(occluders=(wall,), max_range=80.0))
     rng = np.random.default_rng(2)
     x = rng.multivariate_normal(np.zeros(4), np.diag([0.04, 0.04, 0.3, 0.3]), 40_000)
@@ -234,42 +246,45 @@ def test_what_leaks_out_of_a_shadow_is_lost_once():
     start = density_of([(30.0, 0.0, 4.5, 1.9, 0.0)], [0.98])
     start.local.cov[0] = np.diag([0.04, 0.04, 0.3, 0.3])
     tracker.step(Detections.empty(time=0.0))
-    tracker.density = replace(start, undetected=tracker.density.undetected)
-    F, Q = constant_velocity(0.1, 1.0)
+    undetected = tracker.state.density.undetected
+    tracker.state = replace(tracker.state, density=replace(start, undetected=undetected))
+    F, Q = config.motion.transition(0.1)
     weight = np.full(len(x), 0.98)
     for frame in range(1, 71):
         tracker.step(Detections.empty(time=0.1 * frame))
         x = x @ F.T + rng.multivariate_normal(np.zeros(4), Q, len(x))
         edge = np.abs(x[:, 1]) / np.maximum(x[:, 0], 1e-9)
         hidden = (x[:, 0] > 20.0) & (edge < 14.0 / 20.0)
-        weight *= 1 - config.detection_probability * ~hidden * (np.hypot(x[:, 0], x[:, 1]) < 80)
+        weight *= 1 - config.sensor.detection.probability * ~hidden * (
+            np.hypot(x[:, 0], x[:, 1]) < 80
+        )
     left = weight.mean() / (weight.mean() + 0.02)
     r = tracker.density.local.existence[0]
     assert r == pytest.approx(left, abs=0.05)
 
 
-def test_what_hides_a_track_drives_its_visibility_mode():
+def test_what_hides_a_track_drives_its_detectable_mode():
     """Misses behind a truck say nothing of whether the detector has lost the object; misses in the
     open do."""
-    chain = Visibility(unseen=0.1, stay_seen=0.97, stay_unseen=0.8)
-    seen = {}
+    base = FixedDetection(probability=0.95)
+    chain = DetectionChain(base=base, undetectable=0.1, stay_detectable=0.97, stay_undetectable=0.8)
+    detectable = {}
     for name, truck in (
         ("hidden", (10.0, 0.0, 2.6, 14.0, 0.0)),
         ("open", (-20.0, 0.0, 2.6, 14, 0)),
     ):
         density = density_of([truck, (30.0, 0.0, 4.5, 1.9, 0.0)], [1.0, 0.99])
-        density = replace(density, local=replace(density.local, seen=np.array([0.9, 0.9])))
-        sensor = Sensor(
-            R=0.25 * np.eye(2),
-            detection=0.95,
-            clutter=1e-4,
-            shadows=Shadows.of(density, np.zeros(3)),
-            visibility=chain,
+        marks = replace(density.local.marks, detectable=np.array([0.9, 0.9]))
+        density = replace(density, local=replace(density.local, marks=marks))
+        sensor = plain_sensor(
+            0.25 * np.eye(2), 0.95, 1e-4, shadows=Shadows.of(density, np.zeros(3))
         )
-        scan = Scan.of_positions(np.zeros((0, 2)))
-        found = associate(density, scan, sensor, gate_threshold=20, max_hypotheses=9)
+        sensor = replace(sensor, detection=chain)
+        scan = scan_of(np.zeros((0, 2)))
+        kept = replace(KEEP_ALL, gate=20.0, max_hypotheses=9, clustering=True)
+        found = associate(density, scan, sensor, kept)
         after = update(density, scan, found, sensor).local
-        seen[name] = after.seen[1]
+        detectable[name] = after.marks.detectable[1]
         assert found.detection[1] <= 0.95 * chain.share(np.array([0.9]))[0]
-    assert seen["hidden"] == pytest.approx(0.9, abs=1e-6)
-    assert seen["open"] < 0.6
+    assert detectable["hidden"] == pytest.approx(0.9, abs=1e-6)
+    assert detectable["open"] < 0.6

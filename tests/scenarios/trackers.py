@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 
 from pmbm import PMBMConfig, PMBMTracker
+from pmbm.filter import EveryScore, IgnoreScores
 
 EARLY = 4.0
 """Seconds in which even a tracker that never births finds the objects that are there."""
@@ -23,7 +24,7 @@ NEAR = 3.0
 
 def sound(site):
     """PMBM with the detector's confidence taken into account."""
-    return PMBMTracker(PMBMConfig(scores="everywhere"), site)
+    return PMBMTracker(PMBMConfig(scores=EveryScore()), site)
 
 
 class NeverBirths:
@@ -118,7 +119,7 @@ class IgnoresTheScore:
     """Takes every box for as good as any other."""
 
     def __init__(self, site):
-        self.inner = PMBMTracker(PMBMConfig(scores="ignore"), site)
+        self.inner = PMBMTracker(PMBMConfig(scores=IgnoreScores()), site)
 
     def step(self, detections):
         return self.inner.step(detections)

@@ -16,7 +16,7 @@ OTHER_PLANTS = [
     ),
     Plant(
         "a track hides itself",
-        "pmbm/filter/occlusion.py",
+        "pmbm/filter/models/occlusion.py",
         "log_open -= self._by_itself(",
         "log_open -= 0.0 * self._by_itself(",
         by="tests/property/test_filter_occlusion.py::test_a_hypothesis_is_never_hidden_by_its_own_track",
@@ -24,7 +24,7 @@ OTHER_PLANTS = [
     ),
     Plant(
         "what stands behind hides as well",
-        "pmbm/filter/rays.py",
+        "pmbm/filter/models/rays.py",
         "return bearing + np.minimum(distance, 0.999 * FAR) / FAR",
         "return bearing + 0.5 - np.minimum(distance, 0.4 * FAR) / FAR",
         by="tests/property/test_filter_occlusion.py::test_a_wall_hides_what_stands_behind_it_and_not_what_stands_before_it",
@@ -114,7 +114,7 @@ OTHER_PLANTS = [
     ),
     Plant(
         "who is hidden is named for the one that hides it",
-        "pmbm/filter/inspection.py",
+        "pmbm/filter/explain/inspection.py",
         "hides = (target != body) & ~around[body]",
         "hides = ~around[body]",
         by="tests/unit/test_filter_inspection.py::test_who_hides_a_part_is_named_and_never_the_track_itself",
@@ -122,7 +122,7 @@ OTHER_PLANTS = [
     ),
     Plant(
         "a miss told as a detection",
-        "pmbm/filter/story.py",
+        "pmbm/filter/explain/story.py",
         '"missed" if missing > 0.5 else "detected"',
         '"detected" if missing > 0.5 else "missed"',
         by="tests/unit/test_filter_inspection.py::test_a_life_from_birth_through_a_shadow_to_its_end",

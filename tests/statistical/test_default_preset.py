@@ -35,7 +35,7 @@ def test_the_study_leaves_nothing_out():
     document = tomllib.loads(FILE.read_text(encoding="utf-8"))
     (own,) = document["tracker"].values()
     default = PMBMConfig()
-    assert own["parameters"] == {"measurement_sd": default.measurement_sd}
+    assert own["parameters"] == {"position_sd": default.sensor.position_sd}
 
 
 STORE = os.environ.get("PMBM_DEFAULT_STORE", "")

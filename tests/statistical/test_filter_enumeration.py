@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from every_partition import Small, posterior
+from filter_problems import KEEP_ALL, plain_sensor, scan_of
 
+from pmbm.filter import ConstantVelocity
 from pmbm.filter.association import associate
 from pmbm.filter.density import Density, Locals, Mixture
-from pmbm.filter.models import Sensor, Transition, constant_velocity
-from pmbm.filter.prediction import predict
-from pmbm.filter.reduction import Limits, reduce
-from pmbm.filter.scan import Scan
+from pmbm.filter.prediction import Transition, predict
+from pmbm.filter.reduction import reduce
 from pmbm.filter.update import update
 from reports.posterior_figures import errors_figure
 
@@ -26,24 +26,12 @@ pytestmark = pytest.mark.slow
 ENTROPY = None if os.environ.get("PMBM_FRESH_SEEDS") else 20261122
 WORLDS = 40
 
-KEEP_ALL = Limits(
-    prune_hypothesis=0.0,
-    max_hypotheses=10**18,
-    recycle_below=0.0,
-    recycle=True,
-    max_tracks=10**6,
-    prune_undetected=0.0,
-    merge_undetected=0.0,
-    max_undetected=10**6,
-    clustering=False,
-    split_below=0.0,
-)
-
 
 def small_world(rng, still):
     """A world with few frames: still, with births in each; or moving, with none after the first."""
     dt = float(rng.uniform(0.2, 1.5))
-    F, Q = constant_velocity(dt, float(rng.uniform(0.1, 1.0)))
+    motion = ConstantVelocity(acceleration_density=float(rng.uniform(0.1, 1.0)))
+    F, Q = motion.transition(dt)
     return Small(
         F=np.eye(4) if still else F,
         Q=np.zeros((4, 4)) if still else Q,
@@ -60,7 +48,8 @@ def small_world(rng, still):
 
 def filtered(world, frames, clustering):
     """The filter's density at the end, everything kept."""
-    sensor = Sensor(world.R, world.detection, world.clutter)
+    sensor = plain_sensor(world.R, world.detection, world.clutter)
+    kept = replace(KEEP_ALL, max_hypotheses=10**18, clustering=clustering)
     transition = Transition(world.F, world.Q, world.survival)
 
     def mixture(weight):
@@ -73,18 +62,9 @@ def filtered(world, frames, clustering):
         if k:
             births = mixture(world.births) if world.births else Mixture.empty()
             density = predict(density, transition, births)
-        scan = Scan.of_positions(z)
-        found = associate(
-            density,
-            scan,
-            sensor,
-            gate_threshold=1e12,
-            max_hypotheses=10**18,
-            clustering=clustering,
-        )
-        density, _ = reduce(
-            update(density, scan, found, sensor), replace(KEEP_ALL, clustering=clustering)
-        )
+        scan = scan_of(z)
+        found = associate(density, scan, sensor, kept)
+        density, _ = reduce(update(density, scan, found, sensor), kept)
     return density
 
 
@@ -145,7 +125,7 @@ def worlds(count):
 
 @pytest.fixture(autouse=True)
 def _no_table_is_too_large(monkeypatch):
-    monkeypatch.setattr("pmbm.filter.clusters.largest_table", lambda _: 10**9)
+    monkeypatch.setattr("pmbm.filter.hypotheses.clusters.largest_table", lambda _: 10**9)
 
 
 def test_s1_exact_against_enumeration(verified, drawn):

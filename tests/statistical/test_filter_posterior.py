@@ -9,19 +9,19 @@ Seeds are fixed here; `PMBM_FRESH_SEEDS=1` draws others.  Each draws its figure 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from filter_problems import KEEP_ALL, plain_sensor, scan_of
 from scipy.stats import chi2
 
+from pmbm.filter import BroadBirth, ConstantVelocity, Reduction
 from pmbm.filter.association import associate
 from pmbm.filter.density import Density, Mixture
 from pmbm.filter.estimation import cardinality, marginals
-from pmbm.filter.models import Sensor, Transition, constant_velocity
-from pmbm.filter.prediction import predict
-from pmbm.filter.reduction import Limits, reduce
-from pmbm.filter.scan import Scan
+from pmbm.filter.prediction import Transition, predict
+from pmbm.filter.reduction import reduce
 from pmbm.filter.update import update
 from reports.posterior_figures import (
     cost_figure,
@@ -37,6 +37,17 @@ STEPS = 12
 ENTROPY = None if os.environ.get("PMBM_FRESH_SEEDS") else 20261122
 
 
+LIMITS = replace(
+    KEEP_ALL,
+    gate=30.0,
+    max_hypotheses=300,
+    prune_hypothesis=1e-4,
+    recycle_below=1e-3,
+    prune_undetected=1e-6,
+    clustering=True,
+)
+
+
 @dataclass(frozen=True)
 class World:
     """Everything that both the world and the filter believe."""
@@ -49,23 +60,10 @@ class World:
     half_width: float = 120.0
     spread: float = 20.0
     speed: float = 2.0
-    gate: float = 30.0
     dt: float = 1.0
     noise: float = 1.0
-    limits: Limits = field(
-        default_factory=lambda: Limits(
-            prune_hypothesis=1e-4,
-            max_hypotheses=300,
-            recycle_below=1e-3,
-            recycle=True,
-            max_tracks=10**6,
-            prune_undetected=1e-6,
-            merge_undetected=0.1,
-            max_undetected=10**6,
-            clustering=True,
-            split_below=0.0,
-        )
-    )
+    merge_below: float = 0.1
+    limits: Reduction = LIMITS
 
     def mixture(self, weight):
         cov = np.diag([self.spread**2, self.spread**2, self.speed**2, self.speed**2])
@@ -74,11 +72,12 @@ class World:
     @property
     def sensor(self):
         density = self.clutter / (2 * self.half_width) ** 2
-        return Sensor(self.noise**2 * np.eye(2), self.detection, density)
+        return plain_sensor(self.noise**2 * np.eye(2), self.detection, density)
 
     @property
     def transition(self):
-        return Transition(*constant_velocity(self.dt, 0.05), self.survival)
+        F, Q = ConstantVelocity(acceleration_density=0.05).transition(self.dt)
+        return Transition(F, Q, self.survival)
 
 
 @dataclass
@@ -125,16 +124,13 @@ def draw(world, belief, rng, steps=STEPS):
             if o is not None and o["first"] is None:
                 o["first"] = number + place
                 first_of[number + place] = o
-        scan = Scan.of_positions(z[order])
-        found_pairs = associate(
-            density,
-            scan,
-            belief.sensor,
-            gate_threshold=belief.gate,
-            max_hypotheses=belief.limits.max_hypotheses,
-        )
+        scan = scan_of(z[order])
+        unpruned = replace(belief.limits, prune_hypothesis=0.0)
+        found_pairs = associate(density, scan, belief.sensor, unpruned)
         nis += (found_pairs.known.y**2).sum(axis=1).tolist()
-        density, _ = reduce(update(density, scan, found_pairs, belief.sensor), belief.limits)
+        updated = update(density, scan, found_pairs, belief.sensor)
+        merging = BroadBirth(merge_below=belief.merge_below)
+        density, _ = reduce(updated, belief.limits, merging)
         number += len(z)
     living = {id(o) for o in objects}
     alive = {first: id(o) in living for first, o in first_of.items()}
@@ -306,7 +302,13 @@ def test_s4_where_nothing_is_promised(own_worlds, verified):
 
 
 LONE = World(
-    detection=1.0, survival=1.0, birth=1e-9, initial=1.0, clutter=0.0, gate=1e6, spread=200.0
+    detection=1.0,
+    survival=1.0,
+    birth=1e-9,
+    initial=1.0,
+    clutter=0.0,
+    spread=200.0,
+    limits=replace(LIMITS, gate=1e6),
 )
 
 
@@ -335,14 +337,14 @@ def test_s5_what_the_reductions_cost(verified, drawn):
     world = World()
     free = replace(
         world,
-        gate=60.0,
+        merge_below=0.0,
         limits=replace(
             world.limits,
+            gate=60.0,
             prune_hypothesis=1e-7,
             max_hypotheses=3000,
             recycle_below=1e-5,
             prune_undetected=1e-9,
-            merge_undetected=0.0,
         ),
     )
 
@@ -355,18 +357,18 @@ def test_s5_what_the_reductions_cost(verified, drawn):
     for what, belief in {
         "the defaults": replace(
             world,
-            gate=20.0,
+            merge_below=1.0,
             limits=replace(
                 world.limits,
+                gate=20.0,
                 prune_hypothesis=1e-3,
                 max_hypotheses=200,
                 recycle_below=0.01,
                 prune_undetected=1e-5,
-                merge_undetected=1.0,
                 split_below=1e-3,
             ),
         ),
-        "a gate of 9": replace(world, gate=9.0),
+        "a gate of 9": replace(world, limits=replace(world.limits, gate=9.0)),
         "one global hypothesis": replace(world, limits=replace(world.limits, max_hypotheses=1)),
     }.items():
         reduced = [expected(run) for run, _ in runs(world, belief, 60, salt=3)]

@@ -147,7 +147,7 @@ def test_the_preset_is_what_its_command_fits(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("option", "values"), [("occlusion", (False, True)), ("newest_box", (1.0, 0.35))]
+    ("option", "values"), [("occlusion", (False, True)), ("box_gain", (1.0, 0.35))]
 )
 @pytest.mark.parametrize("sequences", [TUNING, REPORTING], ids=["tuning", "reporting"])
 def test_what_an_option_changes(sequences, option, values, tmp_path, capsys):
@@ -156,7 +156,10 @@ def test_what_an_option_changes(sequences, option, values, tmp_path, capsys):
     tables = {}
     for value in values:
         config = tmp_path / f"{value}.toml"
-        changed = {kind: {**own, option: value} for kind, own in parameters().items()}
+        changed = {
+            kind: {**own, "sensor": {**own["sensor"], option: value}}
+            for kind, own in parameters().items()
+        }
         config.write_text(toml_text(changed), encoding="utf-8")
         run = functools.partial(scores_of, "pmbm", "online", tmp_path / f"out{value}", capsys)
         tables[f"{option} {value}"] = run(sequences, "--config", config)
@@ -173,10 +176,10 @@ def test_what_drifting_levels_are_worth_in_cross_validation(tmp_path, capsys):
     for changes in (
         (),
         (
-            "Pedestrian.levels.drift=0.0",
-            "Cyclist.levels.drift=0.0",
-            "Cyclist.report_above=0.4",
-            "Car.levels.drift=1.0",
+            "Pedestrian.scores.drift=0.0",
+            "Cyclist.scores.drift=0.0",
+            "Cyclist.report.above=0.4",
+            "Car.scores.drift=1.0",
         ),
     ):
         command = [sys.executable, script, root, "--work", tmp_path, *changes]

@@ -9,9 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mark_builders import chained, fit_logistic
 from scipy import stats
 
-from pmbm.filter import Kinds, PMBMConfig, PMBMTracker, Visibility
+from pmbm.filter import (
+    EveryScore,
+    FixedDetection,
+    IgnoreScores,
+    LastingScores,
+    ObjectClasses,
+    PMBMConfig,
+    PMBMTracker,
+    Report,
+    Sensor,
+)
 from pmbm.metrics import evaluate
 from pmbm.score import ScoreModel
 from pmbm.tracking import run
@@ -25,8 +36,7 @@ TRIALS = int(os.environ.get("PMBM_MARKS_TRIALS", "10"))
 FITTED_ON, MEASURED_ON = 101, 102
 """Seeds of development: of the score model, and of the trials."""
 METRICS = ["gospa", "gospa_missed", "gospa_false"]
-CHAIN = {"unseen": 0.1, "stay_seen": 0.97, "stay_unseen": 0.8}
-NEUTRAL = Visibility(unseen=1.0, stay_seen=0.97, stay_unseen=0.8)
+CHAIN = {"undetectable": 0.1, "stay_detectable": 0.97, "stay_undetectable": 0.8}
 
 
 def scores_of(scene):
@@ -34,7 +44,7 @@ def scores_of(scene):
     recordings = [scene.record(FITTED_ON, trial) for trial in range(3)]
     score = np.concatenate([one.score for each in recordings for one in each.detections])
     origin = np.concatenate([rows for each in recordings for rows in each.origin])
-    return ScoreModel.fit_logistic(score, origin != CLUTTER)
+    return fit_logistic(score, origin != CLUTTER)
 
 
 def measured(scene, configs):
@@ -71,24 +81,26 @@ def table(title, found, plain, verified):
 def test_what_kinds_are_worth_in_persistent_clutter(verified):
     scene = load_scenario(HERE / "street_of_poles.toml")
     score = scores_of(scene)
-    base = PMBMConfig(score_model=score, scores="everywhere", exclusive=False)
+    base = PMBMConfig(scores=EveryScore(score_model=score), report=Report(exclusive=False))
 
-    def kinds(**changes):
-        given = {"ghosts": 0.4, "score": score, **changes}
-        return replace(base, scores="ignore", kinds=Kinds.simple(**given))
+    def classes(**changes):
+        given = {"persistent_clutter": 0.4, "score": score, **changes}
+        return replace(base, scores=ObjectClasses.simple(**given))
 
     halfway = ScoreModel(knot=score.knot, log_odds=0.5 * score.log_odds, base_rate=0.5)
     configs = {
         "scores alone": base,
-        "no scores": replace(base, scores="ignore"),
-        "scores that last": replace(base, scores="lasting"),
-        "neutral kinds": kinds(ghosts=0.0, score=ScoreModel.uninformative(), mislabelled=6 / 7),
-        "ghosts .4": kinds(),
-        "ghosts 0": kinds(ghosts=0.0),
-        "ghosts .1": kinds(ghosts=0.1),
-        "ghosts .7": kinds(ghosts=0.7),
-        "ghosts .4, mislabelled .2": kinds(mislabelled=0.2),
-        "ghosts .4, ghosts score higher": kinds(ghost_score=halfway),
+        "no scores": replace(base, scores=IgnoreScores()),
+        "scores that last": replace(base, scores=LastingScores(calibration=score)),
+        "neutral kinds": classes(
+            persistent_clutter=0.0, score=ScoreModel.uninformative(), mislabelled=6 / 7
+        ),
+        "ghosts .4": classes(),
+        "ghosts 0": classes(persistent_clutter=0.0),
+        "ghosts .1": classes(persistent_clutter=0.1),
+        "ghosts .7": classes(persistent_clutter=0.7),
+        "ghosts .4, mislabelled .2": classes(mislabelled=0.2),
+        "ghosts .4, ghosts score higher": classes(persistent_score=halfway),
     }
     found = measured(scene, configs)
     differences = table("persistent clutter", found, "scores alone", verified)
@@ -100,24 +112,24 @@ def test_what_kinds_are_worth_in_persistent_clutter(verified):
 def test_what_the_chain_of_being_seen_is_worth_in_runs_of_misses(verified):
     scene = load_scenario(HERE / "street_of_bursts.toml")
     base = PMBMConfig(
-        visibility=None, detection_probability=0.8, scores="everywhere", exclusive=False
+        sensor=Sensor(detection=FixedDetection(probability=0.8)),
+        scores=EveryScore(),
+        report=Report(exclusive=False),
     )
 
-    def chain(**changes):
-        return replace(
-            base, detection_probability=0.95, visibility=Visibility(**{**CHAIN, **changes})
-        )
+    def chain(P_D=0.95, **changes):
+        return base.changed({"sensor.detection": chained(P_D, **{**CHAIN, **changes})})
 
     configs = {
         "independent misses": base,
-        "neutral chain": replace(base, visibility=NEUTRAL),
+        "neutral chain": chain(P_D=0.8, undetectable=1.0),
         "the default's chain": chain(),
-        "unseen .02": chain(unseen=0.02),
-        "unseen .3": chain(unseen=0.3),
-        "stay_seen .9": chain(stay_seen=0.9),
-        "stay_seen .99": chain(stay_seen=0.99),
-        "stay_unseen .5": chain(stay_unseen=0.5),
-        "stay_unseen .95": chain(stay_unseen=0.95),
+        "unseen .02": chain(undetectable=0.02),
+        "unseen .3": chain(undetectable=0.3),
+        "stay_seen .9": chain(stay_detectable=0.9),
+        "stay_seen .99": chain(stay_detectable=0.99),
+        "stay_unseen .5": chain(stay_undetectable=0.5),
+        "stay_unseen .95": chain(stay_undetectable=0.95),
     }
     found = measured(scene, configs)
     differences = table("runs of misses", found, "independent misses", verified)

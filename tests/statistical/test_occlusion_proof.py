@@ -22,7 +22,7 @@ from pmbm.baselines import (
     WaymoConfig,
     WaymoTracker,
 )
-from pmbm.filter import PMBMConfig, PMBMTracker
+from pmbm.filter import BirthMap, EveryScore, PMBMConfig, PMBMTracker
 from pmbm.types import Tracks
 from sim.scenario import Scenario, load_scenario
 
@@ -62,8 +62,12 @@ SWEEPS = {
 """Baseline -> frames of max_age that it is run with."""
 
 
-def pmbm(**changes):
-    return lambda site: PMBMTracker(PMBMConfig(**changes), site)
+CONSTANT = {"sensor.occlusion": False}
+
+
+def pmbm(changes=()):
+    config = PMBMConfig().changed(dict(changes))
+    return lambda site: PMBMTracker(config, site)
 
 
 def recordings(name, seconds):
@@ -96,7 +100,7 @@ def baselines():
 @pytest.mark.slow
 @pytest.mark.parametrize("cell", [*CELLS, *WALLS])
 def test_identity_through_occlusion(cell, verified, capsys):
-    trackers = {"pmbm": pmbm(), "constant P_D": pmbm(occlusion=False), **baselines()}
+    trackers = {"pmbm": pmbm(), "constant P_D": pmbm(CONSTANT), **baselines()}
     scenes = behind_a_wall(WALLS[cell]) if cell in WALLS else recordings(cell, CELLS[cell])
     trials = {name: [trial(one, make) for one in scenes] for name, make in trackers.items()}
     ghost = {name: float(np.mean([one.ghost for one in each])) for name, each in trials.items()}
@@ -166,17 +170,18 @@ def test_first_report_of_objects_that_come_out_of_hiding(verified, capsys):
     its second or third detection, so that no more than the rest can be saved."""
     scenes = recordings("occluded_birth", BIRTHS_UNTIL)
     known = [replace(one, site=replace(one.site, drivable_area=STREETS)) for one in scenes]
-    told = {"undetected_detail": 3.5, "clutter_rate": 2.0, "initial_objects": 10.0}
+    mapped = {"birth": BirthMap()}
+    told = {"birth": BirthMap(initial=10.0), "sensor.clutter_rate": 2.0}
     pairs = {
         "default filter": (scenes, {}),
-        "map of undetected objects, streets known": (known, {"undetected_detail": 3.5}),
+        "map of undetected objects, streets known": (known, mapped),
         "the same, told of the scene's clutter and objects": (known, told),
-        "told, each score for itself": (known, {**told, "scores": "everywhere"}),
+        "told, each score for itself": (known, {**told, "scores": EveryScore()}),
     }
     lines = [f"\noccluded_birth: mean delay of the first report, {SEEDS} seeds from {FIRST_SEED}"]
     for name, (world, changes) in pairs.items():
-        with_it = [trial(one, pmbm(**changes)) for one in world]
-        without = [trial(one, pmbm(occlusion=False, **changes)) for one in world]
+        with_it = [trial(one, pmbm(changes)) for one in world]
+        without = [trial(one, pmbm({**changes, **CONSTANT})) for one in world]
         both = [
             {
                 key: (a.delay[key], b.delay[key])
@@ -201,7 +206,7 @@ def test_first_report_of_objects_that_come_out_of_hiding(verified, capsys):
             f"{mine.mean():.3f} s against {other.mean():.3f} s with constant P_D; 95 % interval "
             f"{low:.3f} to {high:.3f}"
         )
-        with_map = "undetected_detail" in changes
+        with_map = "birth" in changes
         verified(
             "occlusion_initiation_delay",
             what,

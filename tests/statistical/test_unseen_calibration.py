@@ -9,22 +9,21 @@ import pytest
 from scipy import stats
 
 from pmbm import Detections, Site
-from pmbm.filter import PMBMTracker
-from pmbm.filter.models import View
+from pmbm.filter import BroadBirth, PMBMTracker
 from pmbm.geometry import points_in_polygon
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
-from unseen_world import DT, SHADOW, SITE, WALL, draw, hidden_share, model, moved
+from unseen_world import DT, SHADOW, SITE, WALL, births, draw, hidden_share, model, moved
 
 FRAMES = 30
 REPORTING = range(20_000_000, 20_000_120)
 """Worlds that nothing was chosen on; the models that are wrong are shown the first half."""
 LOOKS = (9, 19, 29)
 CROWDED = {
-    "initial_objects": 90.0,
-    "birth_rate": 27.0,
-    "clutter_rate": 2.0,
-    "max_hypotheses": 20,
+    "birth.initial": 90.0,
+    "birth.rate": 27.0,
+    "sensor.clutter_rate": 2.0,
+    "reduction.max_hypotheses": 20,
 }
 PLACES = {
     "shadow": SHADOW,
@@ -46,27 +45,25 @@ def lives(config, seed, site, seen_share, *, in_view_alone=False):
     sensor's range are no objects.
     """
     rng = np.random.default_rng([6, seed])
-    view = View.of(site, np.zeros(3))
-    model_of_births = PMBMTracker(config, site)
+    initial, born = births(config, site)
 
     def appeared(mixture):
         state = some(mixture, rng)
         return state[np.hypot(*state[:, :2].T) <= site.max_range] if in_view_alone else state
 
-    state = appeared(model_of_births._first(view))
-    born = model_of_births._births(view, DT)
+    state = appeared(initial)
     known = np.zeros(len(state), bool)
     for frame in range(FRAMES):
         if frame:
-            alive = rng.random(len(state)) < config.survival ** (DT / config.survival_interval)
+            alive = rng.random(len(state)) < config.survival.over(DT)
             state, known = moved(state[alive], DT, config, rng), known[alive]
             new = appeared(born)
             state = np.concatenate([state, new])
             known = np.concatenate([known, np.zeros(len(new), bool)])
         share = seen_share(frame, *state[:, :2].T)
-        seen = rng.random(len(state)) < config.detection_probability * share
+        seen = rng.random(len(state)) < config.sensor.detection.probability * share
         known = known | seen
-        z = state[seen, :2] + rng.normal(0, config.measurement_sd, (int(seen.sum()), 2))
+        z = state[seen, :2] + rng.normal(0, config.sensor.position_sd, (int(seen.sum()), 2))
         yield state, known, np.concatenate([z, draw_clutter(config, site, rng)])
 
 
@@ -108,7 +105,7 @@ def in_range(site, x, y):
 
 
 def draw_clutter(config, site, rng):
-    n = rng.poisson(config.clutter_rate)
+    n = rng.poisson(config.sensor.clutter_rate)
     radius, turn = site.max_range * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
     return np.column_stack([radius * np.cos(turn), radius * np.sin(turn)])
 
@@ -180,9 +177,12 @@ def test_the_expected_number_of_undetected_objects_in_view_is_calibrated(
     """Without the map: births of seven broad Gaussians that reach over the edge of the view, and
     tracks that were given up, which are not among those never detected."""
     config = model(
-        **{**CROWDED, "clutter_rate": clutter},
-        detection_probability=detection,
-        undetected_detail=None,
+        **{
+            **CROWDED,
+            "birth": BroadBirth(rate=27.0, initial=90.0),
+            "sensor.clutter_rate": clutter,
+            "sensor.detection.probability": detection,
+        }
     )
     site = Site(max_range=SITE.max_range)
 
@@ -216,9 +216,13 @@ def test_the_expected_number_of_undetected_objects_in_view_is_calibrated(
 WRONG = {
     "static occluder, the model's own": ({}, 0.0, True),
     "moving occluder": ({}, 4.0, False),
-    "objects that hold their course, believed not to": ({"spectral_density": 0.1}, 0.0, False),
-    "objects half as fast as believed": ({"birth_speed_sd": 5.0}, 0.0, False),
-    "a detector that sees less than believed": ({"detection_probability": 0.7}, 0.0, False),
+    "objects that hold their course, believed not to": (
+        {"motion.acceleration_density": 0.1},
+        0.0,
+        False,
+    ),
+    "objects half as fast as believed": ({"birth.speed_sd": 5.0}, 0.0, False),
+    "a detector that sees less than believed": ({"sensor.detection.probability": 0.7}, 0.0, False),
 }
 """How the world differs from the model; the wall's speed; whether calibration is promised.
 

@@ -1,15 +1,15 @@
 // Random problems through the compiled kernels, each answer checked; built by
 // test_kernel_sanitized.py with the address and undefined-behaviour sanitizers.
-#include "assignment/k_best.hpp"
-#include "filter/branch.hpp"
-#include "filter/exclusion.hpp"
-#include "filter/gate.hpp"
-#include "filter/join.hpp"
-#include "filter/merge.hpp"
-#include "filter/rays.hpp"
-#include "filter/reduce.hpp"
-#include "filter/sensor.hpp"
-#include "filter/tables.hpp"
+#include "k_best.hpp"
+#include "branch.hpp"
+#include "overlaps.hpp"
+#include "gate.hpp"
+#include "join.hpp"
+#include "merge.hpp"
+#include "rays.hpp"
+#include "reduce.hpp"
+#include "sensor.hpp"
+#include "tables.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -463,7 +463,7 @@ void fuzz_exclusion() {
     }
     std::shuffle(order.begin(), order.end(), random_source);
     const auto sure = static_cast<std::size_t>(whole(0, static_cast<int>(n)));
-    const auto rows = pmbm::standing(position.data(), box.data(), order.data(), n, sure, 1.5);
+    const auto rows = pmbm::suppress_overlaps(position.data(), box.data(), order.data(), n, sure, 1.5);
     std::vector<char> holds(n, 0);
     for (std::size_t i = 0; i < sure; ++i) holds[order[i]] = 1;
     std::vector<char> stands(n, 0);
@@ -503,7 +503,7 @@ void fuzz_sensor() {
     // P_D over both states is at most that of what is seen.
     const double unseen = chance();
     for (std::size_t i = 0; i < n; ++i) P_D[i] *= r[i] + (1 - r[i]) * unseen;
-    pmbm::seen_if_missed(r.data(), P_D.data(), n, unseen, after.data());
+    pmbm::detectable_if_missed(r.data(), P_D.data(), n, unseen, after.data());
     for (std::size_t i = 0; i < n; ++i) {
         require(after[i] >= 0 && after[i] <= r[i] + 1e-12, "a miss made being seen likelier");
     }

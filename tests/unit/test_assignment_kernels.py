@@ -9,7 +9,8 @@ import sys
 import numpy as np
 import pytest
 
-from pmbm.assignment import kernel, reference
+from pmbm.assignment import kernel
+from pmbm.kernels import TWINS
 
 INF = np.inf
 
@@ -53,7 +54,7 @@ def test_same_solutions_and_same_bits(native, name):
         widths,
         np.array([60, 1, 150, 17]),
     )
-    for fast, plain in zip(native.k_best(*problem), reference.k_best(*problem), strict=True):
+    for fast, plain in zip(native.k_best(*problem), TWINS["k_best"](*problem), strict=True):
         assert fast.dtype == plain.dtype
         assert fast.tolist() == plain.tolist()
 

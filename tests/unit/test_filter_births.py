@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from pmbm import Site
+from pmbm.filter import BroadBirth, ConstantVelocity
 from pmbm.filter.density import Density, Mixture
-from pmbm.filter.models import Transition, View, constant_velocity, spread_over
-from pmbm.filter.prediction import predict
+from pmbm.filter.models.birth import spread_over
+from pmbm.filter.models.view import View
+from pmbm.filter.prediction import Transition, predict
 
 
 def spread(x=0.0):
@@ -23,10 +25,11 @@ def second_moment(mixture: Mixture) -> np.ndarray:
 
 def after(steps, merge, places):
     density = Density.initial(spread(places(0)))
-    F, Q = constant_velocity(0.1, 2.0)
+    F, Q = ConstantVelocity(acceleration_density=2.0).transition(0.1)
+    birth = BroadBirth(merge_below=1.0 if merge else 0.0)
     for step in range(1, steps + 1):
         births = spread(places(step))
-        density = predict(density, Transition(F, Q, 0.97), births, merge_births=merge)
+        density = predict(density, Transition(F, Q, 0.97), births, birth)
     return density.undetected
 
 

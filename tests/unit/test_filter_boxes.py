@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from pmbm.errors import InputError
-from pmbm.filter import PMBMConfig, PMBMTracker
-from pmbm.filter.estimation import apart
-from pmbm.filter.story import tell
+from pmbm.filter import PMBMConfig, PMBMTracker, Sensor
+from pmbm.filter.estimation import suppress_overlaps
+from pmbm.filter.explain.story import tell
 from pmbm.types import Detections
 
 
-def boxes(newest, seed=0, frames=40):
+def boxes(gain, seed=0, frames=40):
     """Boxes (F,5) given, and those reported (F,5): z, length, width, height, yaw."""
     rng = np.random.default_rng(seed)
-    tracker = PMBMTracker(PMBMConfig(newest_box=newest))
+    tracker = PMBMTracker(PMBMConfig(sensor=Sensor(box_gain=gain)))
     given, told = [], []
     for k in range(frames):
         one = np.array([1.0, 4.0, 1.8, 1.5, 0.4]) + rng.normal(0, 0.1, 5)
@@ -51,15 +51,16 @@ def test_heights_and_sizes_are_averaged_and_headings_are_not():
 
 def test_a_weight_out_of_bounds_is_refused():
     for bad in (0.0, 1.1):
-        with pytest.raises(InputError, match="newest_box"):
-            PMBMConfig(newest_box=bad)
+        with pytest.raises(InputError, match="box_gain"):
+            Sensor(box_gain=bad)
 
 
 def standing(*reports, sure=9):
     """Rows that stand of reports (x, y, length, width, yaw), known in this order."""
     x, y, length, width, yaw = np.reshape(reports, (-1, 5)).astype(float).T
     box = np.column_stack([np.full(len(x), 0.8), length, width, np.full(len(x), 1.5), yaw])
-    return apart(np.column_stack([x, y]), box, np.arange(len(x)), sure).tolist()
+    order = np.arange(len(x))
+    return suppress_overlaps(np.column_stack([x, y]), box, order, sure).tolist()
 
 
 def test_two_reports_are_never_at_one_place():
@@ -105,7 +106,8 @@ def test_a_duplicate_that_stays_is_held_back_and_the_story_says_so():
     ]
     told = {}
     for exclusive in (False, True):
-        tracker = PMBMTracker(PMBMConfig.textbook(exclusive=exclusive, clutter_rate=0.1, history=1))
+        changes = {"report.exclusive": exclusive, "sensor.clutter_rate": 0.1, "report.history": 1}
+        tracker = PMBMTracker(PMBMConfig.textbook().changed(changes))
         steps, inspections = [], []
         for one in frames:
             steps.append(tracker.step(one))

@@ -8,23 +8,22 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from filter_problems import KEEP_ALL, bernoullis, plain_sensor, scan_of
 
-from pmbm import Detections, PMBMConfig, PMBMTracker, Site, compiled
-from pmbm.filter.association import _first_detections, _gated, associate
-from pmbm.filter.branching import branch
-from pmbm.filter.clusters import factor, merge_equal
-from pmbm.filter.density import Density, Globals, Locals, Mixture, Origin, starts
-from pmbm.filter.estimation import apart
-from pmbm.filter.gating import gate
-from pmbm.filter.gaussian import Innovation
-from pmbm.filter.marks import Visibility
-from pmbm.filter.models import Sensor, View
-from pmbm.filter.rays import box_rays
-from pmbm.filter.reduction import Limits, _pruned, merge_mixture, reduce
-from pmbm.filter.resumption import ids_of_new
-from pmbm.filter.scan import Scan
-from pmbm.filter.update import _used
-from pmbm.filter.weights import normalised
+from pmbm import Detections, PMBMConfig, PMBMTracker, Site, kernels
+from pmbm.filter import DetectionChain
+from pmbm.filter.association import associate
+from pmbm.filter.density import Density, Globals, Marks, Mixture, RecycledFrom, starts
+from pmbm.filter.estimation import suppress_overlaps
+from pmbm.filter.hypotheses.branching import branch
+from pmbm.filter.hypotheses.clusters import factor, merge_equal
+from pmbm.filter.hypotheses.gating import first_detections, gate, gated_pairs
+from pmbm.filter.hypotheses.gaussian import Innovation
+from pmbm.filter.hypotheses.weights import normalised
+from pmbm.filter.identity.recycling import ids_of_new
+from pmbm.filter.models.rays import box_rays
+from pmbm.filter.models.view import View
+from pmbm.filter.reduction import merge_mixture, pruned, reduce
 from pmbm.types import ABSENT
 
 native = pytest.importorskip("pmbm._native", reason="installed without a compiler")
@@ -34,7 +33,7 @@ def on_both(monkeypatch, work):
     """What `work()` gives with and without the compiled module."""
     results = []
     for module in (native, None):
-        monkeypatch.setattr(compiled, "native", module)
+        monkeypatch.setattr(kernels, "native", module)
         results.append(work())
     return results
 
@@ -100,8 +99,8 @@ def test_pairs_and_first_detections_are_priced_alike(monkeypatch):
     weight = np.where(random.random(n) < 0.2, 0.0, random.random(n))
     z = random.uniform(-60, 60, (300, 2))
     z[:30] += 900
-    sensor = Sensor(R=np.array([[0.09, 0.02], [0.02, 0.2]]), detection=0.9, clutter=1e-3)
-    fast, plain = on_both(monkeypatch, lambda: _gated(mean, cov, weight, z, sensor, 9.0))
+    R = np.array([[0.09, 0.02], [0.02, 0.2]])
+    fast, plain = on_both(monkeypatch, lambda: gated_pairs(mean, cov, weight, z, R, 9.0))
     possible = np.flatnonzero(weight)
     assert len(np.intersect1d(plain.row, possible)) == len(np.unique(plain.row)) > 100
     for name in ("row", "measurement", "y"):
@@ -113,7 +112,7 @@ def test_pairs_and_first_detections_are_priced_alike(monkeypatch):
     with np.errstate(divide="ignore"):
         ppp, log_weight = Mixture(np.zeros(n), mean, cov), np.log(weight)
     (priced, log_e), (plainly, log_plainly) = on_both(
-        monkeypatch, lambda: _first_detections(ppp, log_weight, z, sensor, 9.0)
+        monkeypatch, lambda: first_detections(ppp, log_weight, z, R, 9.0)
     )
     assert 0 < np.isinf(log_e).sum() < 200
     np.testing.assert_allclose(log_e, log_plainly, rtol=1e-12)
@@ -145,9 +144,8 @@ def test_reports_at_one_place_as_plain(monkeypatch):
         box = np.column_stack([np.zeros(n), random.uniform(0.2, 12, (n, 2)), np.ones(n)])
         box = np.column_stack([box, random.uniform(-4, 4, n)])
         order = random.permutation(n)
-        fast, plain = on_both(
-            monkeypatch, partial(apart, position, box, order, n - seed % 2 * n // 3)
-        )
+        sure = n - seed % 2 * n // 3
+        fast, plain = on_both(monkeypatch, partial(suppress_overlaps, position, box, order, sure))
         assert fast.tolist() == plain.tolist()
         held_back += n - len(plain)
     assert held_back > 300
@@ -158,24 +156,21 @@ def test_misses_say_the_same(monkeypatch):
     random = np.random.default_rng(7)
     r, P_D = random.random(200), random.random(200)
     r[:40], P_D[20:60], P_D[80:90] = 1.0, 1.0, 0.0
-    sensor = Sensor(
-        R=np.eye(2),
-        detection=0.9,
-        clutter=1e-3,
-        visibility=Visibility(unseen=0.1, stay_seen=0.97, stay_unseen=0.8),
-    )
+    sensor = plain_sensor(np.eye(2), 0.9, 1e-3)
     fast, plain = on_both(monkeypatch, lambda: sensor.missed(r, P_D))
     for one, other in zip(fast, plain, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-14)
-    fast, plain = on_both(monkeypatch, lambda: sensor.seen_if_missed(r, P_D))
+    chain = DetectionChain(undetectable=0.1, stay_detectable=0.97, stay_undetectable=0.8)
+    marks = replace(Marks.neutral(200), detectable=r)
+    fast, plain = on_both(monkeypatch, lambda: chain.if_missed(marks, P_D).detectable)
     np.testing.assert_allclose(fast, plain, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("H", "n", "M"), [(0, 0, 0), (5, 0, 0), (0, 0, 4), (9, 7, 30)])
-def test_candidates_in_use_are_named_alike(monkeypatch, H, n, M):
+def test_candidates_in_use_are_named_alike(H, n, M):
     random = np.random.default_rng(8)
     member = random.integers(0, max(H + n + M, 1), 25 if H + n + M else 0)
-    fast, plain = on_both(monkeypatch, lambda: _used(member, H, n, M))
+    fast, plain = native.used(member, H, n, M), kernels.TWINS["used"](member, H, n, M)
     for one, other in zip(fast, plain, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -229,15 +224,15 @@ def test_ids_are_resumed_alike(monkeypatch, seed):
         random.normal(-3, 1, n),
         mean,
         np.tile(np.eye(4), (n, 1, 1)),
-        Origin(track, share, share),
+        RecycledFrom(track, share, share),
     )
     prior = replace(Density.initial(ppp), track_id=np.arange(2), detections_seen=100)
     z = random.normal(0, 3, (m, 2)) + np.where(random.random(m) < 0.5, 40.0, 0.0)[:, None] * [1, 0]
-    sensor = Sensor(R=0.09 * np.eye(2), detection=0.9, clutter=1e-3)
-    scan = Scan.of_positions(z)
+    sensor, scan = plain_sensor(0.09 * np.eye(2), 0.9, 1e-3), scan_of(z)
+    kept = replace(KEEP_ALL, gate=20.0, max_hypotheses=1, clustering=True)
 
     def work():
-        found = associate(prior, scan, sensor, gate_threshold=20.0, max_hypotheses=1)
+        found = associate(prior, scan, sensor, kept)
         return ids_of_new(prior, scan, found, np.arange(0, m, 2)).tolist()
 
     fast, plain = on_both(monkeypatch, work)
@@ -286,31 +281,26 @@ REDUCTIONS = {
     "factor": {"split_below": 0.15, "recycle_below": 0.1},
     "factor all": {"split_below": 10.0},
 }
-KEEP_ALL = Limits(0.0, 100, 0.0, True, 1000, 0.0, 0.0, 1000, True, 0.0)
+KEEP_MOST = replace(
+    KEEP_ALL, max_hypotheses=100, max_tracks=1000, max_undetected=1000, clustering=True
+)
 
 
 @pytest.mark.parametrize("name", REDUCTIONS)
 @pytest.mark.parametrize("seed", range(6))
 def test_reductions_come_out_the_same(monkeypatch, name, seed):
-    monkeypatch.setattr("pmbm.filter.clusters.WORTH_FACTORING", 8)
+    monkeypatch.setattr("pmbm.filter.hypotheses.clusters.WORTH_FACTORING", 8)
     table, track = random_table(seed)
     random, H = np.random.default_rng(seed), len(track)
-    local = replace(
-        Locals.empty(),
-        track=track,
-        existence=random.random(H),
-        mean=random.normal(size=(H, 4)),
-        cov=np.tile(np.eye(4), (H, 1, 1)),
-        box=np.ones((H, 5)),
-        label=np.zeros(H, np.int8),
-        history=np.zeros((H, 0), np.int32),
+    local = bernoullis(
+        track, random.random(H), random.normal(size=(H, 4)), np.tile(np.eye(4), (H, 1, 1))
     )
     if name == "in one":
         table = replace(table, cluster=np.zeros_like(table.cluster))
         table = replace(table, log_weight=normalised(table.log_weight, table.cluster))
     ids = 10 * np.arange(track.max() + 1)
     prior = Density(Mixture.empty(), local, table, ids)
-    limits = replace(KEEP_ALL, **REDUCTIONS[name])
+    limits = replace(KEEP_MOST, **REDUCTIONS[name])
     (fast, counted), (plain, plainly) = on_both(monkeypatch, lambda: reduce(prior, limits))
     assert counted == plainly
     assert fast.track_id.tolist() == plain.track_id.tolist()
@@ -357,12 +347,12 @@ def test_components_are_merged_alike(monkeypatch):
 @pytest.mark.parametrize("ties", [0, 1, 3, 30])
 def test_hypotheses_branch_alike(monkeypatch, cap, largest, search, ties, negligible):
     """Clusters that stay apart, clusters that measurements tie together, and measurements alone."""
-    monkeypatch.setattr("pmbm.filter.clusters.largest_table", lambda _: largest)
-    monkeypatch.setattr("pmbm.filter.branching.LARGEST_SEARCH", search)
+    monkeypatch.setattr("pmbm.filter.hypotheses.clusters.largest_table", lambda _: largest)
+    monkeypatch.setattr("pmbm.filter.hypotheses.branching.LARGEST_SEARCH", search)
     joins = 0
     for seed in range(5):
         table, track = random_table(seed)
-        table = merge_equal(_pruned(table, 0.0, np.full(6, 3))[0])
+        table = merge_equal(pruned(table, -np.inf, np.full(6, 3))[0])
         random = np.random.default_rng([seed, ties])
         row = np.sort(random.choice(np.unique(table.member), min(ties, 12), replace=False))
         measurement = random.integers(0, 9, len(row))

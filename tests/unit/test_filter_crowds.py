@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmbm import Detections, PMBMConfig, PMBMTracker, Site, compiled
+from pmbm import Detections, PMBMConfig, PMBMTracker, Site, kernels
 
 needs_kernels = pytest.mark.skipif(
-    compiled.native is None, reason="the plain filter is for reading, not for crowds"
+    kernels.native is None, reason="the plain filter is for reading, not for crowds"
 )
 
 

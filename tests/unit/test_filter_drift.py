@@ -35,14 +35,10 @@ def walks(draw):
 @given(walks(), st.floats(0, 3), st.floats(0, 3))
 def test_two_intervals_are_one_of_both(walk, first, second):
     marks, share = walk
-    twice = marks.after(marks.after(share, first), second)
-    assert twice == pytest.approx(marks.after(share, first + second), abs=1e-9)
+    twice = marks.predicted(marks.predicted(share, first), second)
+    assert twice == pytest.approx(marks.predicted(share, first + second), abs=1e-9)
     assert twice.sum() == pytest.approx(1.0, abs=1e-9)
-    assert marks.after(share, 0.0) == pytest.approx(share, abs=1e-12)
-    # One time for all sources, or one for each.
-    assert marks.after(np.vstack([share, share]), np.array([first, second])) == pytest.approx(
-        np.vstack([marks.after(share, first), marks.after(share, second)]), abs=1e-12
-    )
+    assert marks.predicted(share, 0.0) == pytest.approx(share, abs=1e-12)
 
 
 @given(walks(), st.floats(0.01, 2))
@@ -59,13 +55,13 @@ def test_the_walk_is_that_of_its_generator(walk, dt):
         if k < n - 1:
             generator[k, k + 1] = marks.drift**2 / (above * (below + above))
         generator[k, k] = -generator[k].sum()
-    assert marks.after(share, dt) == pytest.approx(share @ expm(dt * generator), abs=1e-9)
+    assert marks.predicted(share, dt) == pytest.approx(share @ expm(dt * generator), abs=1e-9)
 
 
 def test_a_level_in_the_middle_spreads_by_the_drift():
     marks = walking(np.linspace(-6, 6, 49), 0.7)
     start = (np.arange(49) == 24)[None].astype(float)
-    after = marks.after(start, 4.0)[0]
+    after = marks.predicted(start, 4.0)[0]
     assert after @ marks.level == pytest.approx(0.0, abs=1e-9)
     assert after @ marks.level**2 == pytest.approx(0.7**2 * 4, rel=0.01)
 
@@ -73,7 +69,8 @@ def test_a_level_in_the_middle_spreads_by_the_drift():
 def test_a_drifting_level_is_learned_by_bayes_rule():
     """P(object) after three detections and a miss, against the chain written out."""
     marks = levels(drift=0.8)
-    tracker = PMBMTracker(PMBMConfig.textbook(levels=marks, clutter_rate=1e-9))
+    told = {"scores": marks, "sensor.clutter_rate": 1e-9}
+    tracker = PMBMTracker(PMBMConfig.textbook().changed(told))
     raws, times = [1.5, -0.5, 0.7], [0.0, 0.1, 0.6]
     for when, raw in zip(times, raws, strict=True):
         tracks = tracker.step(frame(when, [[5.0, 0.0]], raw))
@@ -97,7 +94,8 @@ def test_what_looks_surer_from_near_is_believed_in_time():
     believed = {}
     for drift in (0.0, 1.0):
         marks = levels(drift=drift, scatter=2.0)
-        tracker = PMBMTracker(PMBMConfig.textbook(levels=marks, report_above=0.7))
+        told = {"scores": marks, "report.above": 0.7}
+        tracker = PMBMTracker(PMBMConfig.textbook().changed(told))
         raws = [-2.0] * 60 + [2.0] * 40
         shown = [len(tracker.step(frame(0.1 * k, [[5.0, 0.0]], r))) for k, r in enumerate(raws)]
         assert sum(shown[10:60]) == 0
@@ -115,7 +113,7 @@ def test_a_drift_is_a_number_within_bounds(drift):
 @pytest.mark.parametrize("drift", [1e-200, 1e-9, 1e3])
 def test_the_slowest_and_the_fastest_walk_are_walks(drift):
     start = np.array([[0.6, 0.2, 0.2]])
-    after = levels(level=[-2.0, 0.0, 5.0], drift=drift).after(start, 10.0)
+    after = levels(level=[-2.0, 0.0, 5.0], drift=drift).predicted(start, 10.0)
     assert after.sum() == pytest.approx(1.0)
     if drift < 1:
         assert after == pytest.approx(start, abs=1e-6)
@@ -123,4 +121,4 @@ def test_the_slowest_and_the_fastest_walk_are_walks(drift):
 
 def test_one_level_has_nowhere_to_go():
     alone = levels(level=[0.0], birth=[1.0], clutter=[1.0], object=[0.5], drift=1.0)
-    assert alone.after(np.ones((3, 1)), 5.0) == pytest.approx(np.ones((3, 1)))
+    assert alone.predicted(np.ones((3, 1)), 5.0) == pytest.approx(np.ones((3, 1)))

@@ -5,41 +5,30 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from filter_problems import KEEP_ALL, bernoullis, plain_sensor, scan_of
 from scipy.stats import multivariate_normal
 
+from pmbm.filter import ConstantVelocity
 from pmbm.filter.association import associate
-from pmbm.filter.branching import best_children
-from pmbm.filter.clusters import joined, merge_equal
-from pmbm.filter.density import Density, Globals, Locals, Mixture
+from pmbm.filter.density import Density, Globals, Mixture
 from pmbm.filter.estimation import marginals
-from pmbm.filter.models import Sensor, Transition, constant_velocity
-from pmbm.filter.prediction import predict
-from pmbm.filter.reduction import Limits, reduce
-from pmbm.filter.scan import Scan
+from pmbm.filter.hypotheses.branching import best_children
+from pmbm.filter.hypotheses.clusters import joined, merge_equal
+from pmbm.filter.prediction import Transition, predict
+from pmbm.filter.reduction import reduce
 from pmbm.filter.update import update
 
 H = np.eye(2, 4)
-SENSOR = Sensor(R=np.diag([0.2, 0.3]), detection=0.8, clutter=0.01)
+SENSOR = plain_sensor(np.diag([0.2, 0.3]), 0.8, 0.01)
 P1 = np.diag([2.0, 1.0, 3.0, 4.0])
-KEEP_ALL = Limits(
-    prune_hypothesis=0.0,
-    max_hypotheses=10**15,
-    recycle_below=0.0,
-    recycle=True,
-    max_tracks=10**6,
-    prune_undetected=0.0,
-    merge_undetected=0.0,
-    max_undetected=10**6,
-    clustering=False,
-    split_below=0.0,
-)
 
 
 def limits(**changes):
-    return Limits(**{**{n: getattr(KEEP_ALL, n) for n in Limits.__slots__}, **changes})
+    return replace(KEEP_ALL, **changes)
 
 
 def mixture(weight, mean, cov):
@@ -50,7 +39,6 @@ def density(ppp, tracks, hypotheses, clusters=None):
     """tracks: per track a list of (r, mean, cov); hypotheses: (weight, {track: which of them})."""
     rows = [(t, n) for t, options in enumerate(tracks) for n in range(len(options))]
     row_of = {key: i for i, key in enumerate(rows)}
-    H = len(rows)
     start, member = [0], []
     for _, chosen in hypotheses:
         member += [row_of[item] for item in sorted(chosen.items())]
@@ -58,14 +46,11 @@ def density(ppp, tracks, hypotheses, clusters=None):
     values = [tracks[t][n] for t, n in rows]
     return Density(
         undetected=ppp,
-        local=Locals(
-            np.array([t for t, _ in rows], np.intp),
-            np.array([v[0] for v in values], float),
-            np.array([v[1] for v in values], float).reshape(H, 4),
-            np.array([v[2] for v in values], float).reshape(H, 4, 4),
-            np.ones((H, 5)),
-            np.zeros(H, np.int8),
-            np.zeros((H, 0), np.int32),
+        local=bernoullis(
+            [t for t, _ in rows],
+            [v[0] for v in values],
+            [v[1] for v in values],
+            [v[2] for v in values],
         ),
         hypotheses=Globals(
             np.array(clusters if clusters else [0] * len(hypotheses), np.intp),
@@ -79,10 +64,9 @@ def density(ppp, tracks, hypotheses, clusters=None):
 
 
 def step(prior, z, sensor=SENSOR, gate=1e12, k=10**15, clustering=False):
-    scan = Scan.of_positions(z)
-    found = associate(
-        prior, scan, sensor, gate_threshold=gate, max_hypotheses=k, clustering=clustering
-    )
+    scan = scan_of(z)
+    kept = limits(gate=gate, max_hypotheses=k, clustering=clustering)
+    found = associate(prior, scan, sensor, kept)
     return update(prior, scan, found, sensor)
 
 
@@ -115,7 +99,7 @@ def as_sets(density, digits=9):
 def enumerate_all(ppp, tracks, hypotheses, z, sensor, digits=9):
     """Bayes' rule by listing, for every parent, every assignment of measurements to its tracks or
     to nothing: the equations of the update, one at a time, with scipy's densities."""
-    P_D, R = sensor.detection, sensor.R
+    P_D, R = sensor.detection.probability, sensor.R
     new = []
     for j, one in enumerate(z):
         parts = []
@@ -219,10 +203,10 @@ def test_the_best_children_are_the_best_of_all(seed, assignment_kernel):
 def test_a_parent_gets_children_in_proportion_to_its_weight():
     ppp, tracks, hypotheses, z = random_problem(3)
     prior = density(ppp, tracks, hypotheses)
-    found = associate(prior, Scan.of_positions(z), SENSOR, gate_threshold=1e12, max_hypotheses=10)
+    found = associate(prior, scan_of(z), SENSOR, limits(max_hypotheses=10, clustering=True))
     weights = found.known, found.log_missed, found.log_new
     one_cluster, allowed = np.zeros(len(z), np.intp), np.array([10])
-    children = best_children(prior.hypotheses, one_cluster, *weights, allowed, 0.0)
+    children = best_children(prior.hypotheses, one_cluster, *weights, allowed, -np.inf)
     count = np.bincount(children.parent, minlength=3)
     quota = [math.ceil(10 * w) for w, _ in hypotheses]
     assert (count <= quota).all()
@@ -232,11 +216,11 @@ def test_a_parent_gets_children_in_proportion_to_its_weight():
 @pytest.mark.parametrize("seed", [0, 1, 2, 4])
 def test_clusters_on_and_off_give_the_same_density(seed, monkeypatch):
     """Four steps of two groups that stay apart and one that comes and goes, caps inactive."""
-    monkeypatch.setattr("pmbm.filter.clusters.largest_table", lambda _: 10**12)
+    monkeypatch.setattr("pmbm.filter.hypotheses.clusters.largest_table", lambda _: 10**12)
     rng = np.random.default_rng(seed)
     ppp = mixture([0.5], np.zeros((1, 4)), np.diag([900.0, 900.0, 4.0, 4.0])[None])
     starts = {False: Density.initial(ppp, clustering=False), True: Density.initial(ppp)}
-    F, Q = constant_velocity(0.5, 0.1)
+    F, Q = ConstantVelocity(acceleration_density=0.1).transition(0.5)
     outcomes = {}
     scans = []
     for _ in range(4):
@@ -305,7 +289,7 @@ def test_a_table_that_factors_is_taken_apart_exactly():
 
 
 def test_a_crowd_in_one_cluster_does_bounded_work(monkeypatch):
-    monkeypatch.setattr("pmbm.filter.clusters.largest_table", lambda _: 60)
+    monkeypatch.setattr("pmbm.filter.hypotheses.clusters.largest_table", lambda _: 60)
     rng = np.random.default_rng(0)
     tracks = [[(0.6, [x, 0, 0, 0], P1)] for x in range(12)]
     prior = density(Mixture.empty(), tracks, [(1.0, dict.fromkeys(range(12), 0))])
@@ -324,14 +308,8 @@ def test_joining_large_clusters_keeps_the_best_of_their_product(limit):
     weights = rng.dirichlet(np.ones(6), 2)
     hypotheses = [(weights[t, n], {t: n}) for t in range(2) for n in range(6)]
     prior = density(Mixture.empty(), tracks, hypotheses, clusters=[0] * 6 + [1] * 6)
-    found = associate(
-        prior,
-        Scan.of_positions([0.0, 0.0]),
-        SENSOR,
-        gate_threshold=50.0,
-        max_hypotheses=limit,
-        clustering=True,
-    )
+    kept = limits(gate=50.0, max_hypotheses=limit, clustering=True)
+    found = associate(prior, scan_of([0.0, 0.0]), SENSOR, kept)
     expected = np.sort(np.outer(*weights).ravel())[::-1][:limit]
     pairs = found.known.row, found.known.measurement
     parents, _ = joined(prior.hypotheses, len(prior.local), *pairs, 1, limit)
@@ -344,7 +322,9 @@ def test_joining_large_clusters_keeps_the_best_of_their_product(limit):
 def test_likelihood_is_taken_at_the_predicted_mean():
     prior = density(Mixture.empty(), [[(0.7, [1.0, 2.0, 0, 0], P1)]], [(1.0, {0: 0})])
     z = np.array([[2.5, 1.0]])
-    found = associate(prior, Scan.of_positions(z), SENSOR, gate_threshold=99, max_hypotheses=9)
+    found = associate(
+        prior, scan_of(z), SENSOR, limits(gate=99.0, max_hypotheses=9, clustering=True)
+    )
     S = np.diag([2.2, 1.3])
     expected = math.log(0.7 * 0.8) + multivariate_normal.logpdf(z[0], [1, 2], S)
     assert found.known.log_weight == pytest.approx([expected], abs=1e-12)
@@ -400,9 +380,10 @@ def test_recycling_keeps_the_expected_number_of_objects(recycle):
         assert weights == pytest.approx([0.3, 0.7 * 0.004, 0.4 * 0.002])
 
 
-def test_a_pruned_bernoulli_leaves_its_global_hypotheses_standing():
+@pytest.mark.parametrize("other", [{0: 0, 1: 1}, {1: 1}], ids=["all", "one"])
+def test_a_pruned_bernoulli_leaves_its_global_hypotheses_standing(other):
     tracks = [[(0.004, [0, 0, 0, 0], P1)], [(0.5, [5, 0, 0, 0], P1), (0.8, [5, 0, 1, 0], P1)]]
-    hypotheses = [(0.6, {0: 0, 1: 0}), (0.4, {0: 0, 1: 1})]
+    hypotheses = [(0.6, {0: 0, 1: 0}), (0.4, other)]
     after, _ = reduce(density(Mixture.empty(), tracks, hypotheses), limits(recycle_below=0.01))
     assert np.exp(after.hypotheses.log_weight) == pytest.approx([0.6, 0.4])
     assert after.track_id.tolist() == [1]
@@ -462,7 +443,7 @@ def test_existence_and_weight_of_a_miss_come_from_the_same_prior():
 
 def test_no_detection_possible_leaves_weights_and_existence():
     ppp, tracks, hypotheses, z = random_problem(1)
-    blind = Sensor(SENSOR.R, 0.0, SENSOR.clutter)
+    blind = plain_sensor(SENSOR.R, 0.0, SENSOR.clutter)
     prior = density(ppp, tracks, hypotheses)
     after = step(prior, z, blind)
     assert after.hypotheses.log_weight == pytest.approx(prior.hypotheses.log_weight, abs=1e-12)
@@ -475,14 +456,15 @@ def test_no_detection_possible_leaves_weights_and_existence():
 
 def test_certain_detection_that_fails_to_come_ends_a_track():
     prior = density(Mixture.empty(), [[(1.0, [0, 0, 0, 0], P1)]], [(1.0, {0: 0})])
-    after = step(prior, np.zeros((0, 2)), Sensor(SENSOR.R, 1.0, 0.0))
+    after = step(prior, np.zeros((0, 2)), plain_sensor(SENSOR.R, 1.0, 0.0))
     assert np.isfinite(after.hypotheses.log_weight).all()
     assert after.local.existence.tolist() == [0.0]
 
 
 def test_without_clutter_and_births_an_unexplained_measurement_does_no_harm():
     prior = density(Mixture.empty(), [[(0.9, [0, 0, 0, 0], P1)]], [(1.0, {0: 0})])
-    after = step(prior, [[300.0, 0.0]], Sensor(SENSOR.R, 0.9, 0.0), gate=20.0, clustering=True)
+    quiet = plain_sensor(SENSOR.R, 0.9, 0.0)
+    after = step(prior, [[300.0, 0.0]], quiet, gate=20.0, clustering=True)
     assert np.isfinite(after.hypotheses.log_weight).all()
     assert (after.local.existence <= 1).all()
     reduced, _ = reduce(after, limits(recycle_below=1e-3, clustering=True))
@@ -503,7 +485,7 @@ def test_a_sole_object_in_clutter_is_followed_as_by_ipda():
     expected_mean = mean + K @ (beta[1:] @ (z - H @ mean))
 
     prior = density(Mixture.empty(), [[(r, mean, P)]], [(1.0, {0: 0})])
-    after = step(prior, z, Sensor(SENSOR.R, P_D, clutter))
+    after = step(prior, z, plain_sensor(SENSOR.R, P_D, clutter))
     mass = after.hypothesis_probability() * after.local.existence
     own = after.local.track == 0
     assert mass[own].sum() == pytest.approx(expected_r, rel=1e-12)

@@ -9,17 +9,24 @@ import pytest
 from mark_builders import PLAIN, frame, levels, street
 
 from pmbm.errors import InputError
-from pmbm.filter import PMBMConfig, PMBMTracker, Visibility
-from pmbm.filter.fitting import fit_levels, fit_log_odds, fit_marks, sources
-from pmbm.filter.fitting_runs import fit_visibility, runs
-from pmbm.filter.marks import Seen
+from pmbm.filter import DetectionChain, PMBMConfig, PMBMTracker, Report
+from pmbm.filter.models.protocols import SceneDensity
+from pmbm.fitting.detection_chain import fit_detection_chain, runs
+from pmbm.fitting.score_levels import fit_levels, fit_log_odds, fit_marks, sources
 from pmbm.score import Calibration
 from pmbm.types import CLUTTER, Detections, Label, Recording
+
+ALL = Report(above=0.0, exclusive=False)
+STREET = {"sensor.clutter_rate": 1.0, "sensor.position_sd": 0.1}
+
+
+def textbook(**changes):
+    return replace(PMBMConfig.textbook(), **changes)
 
 
 def test_a_level_is_learned_by_bayes_rule():
     """P(object) after three detections, against the sum over levels written out."""
-    config = PMBMConfig.textbook(levels=levels(), clutter_rate=1e-9)
+    config = textbook(scores=levels()).changed({"sensor.clutter_rate": 1e-9})
     tracker = PMBMTracker(config)
     given = [1.5, -0.5, 0.7]
     for k, raw in enumerate(given):
@@ -35,7 +42,7 @@ def test_a_level_is_learned_by_bayes_rule():
 
 def test_a_long_life_makes_no_object():
     """A pole that stands at the level where half are objects stays a matter of even odds."""
-    tracker = PMBMTracker(PMBMConfig.textbook(levels=levels(), report_above=0.0))
+    tracker = PMBMTracker(textbook(scores=levels(), report=ALL))
     rng = np.random.default_rng(0)
     scores = [
         tracker.step(frame(0.1 * k, [[5.0, 0.0]], rng.normal(0, 0.3))).score[:1] for k in range(80)
@@ -45,8 +52,8 @@ def test_a_long_life_makes_no_object():
 
 def test_one_level_says_nothing_and_is_the_plain_filter():
     flat = levels(level=[0.0], birth=[1.0], clutter=[1.0], object=[1.0])
-    plain = PMBMTracker(PMBMConfig.textbook())
-    marked = PMBMTracker(PMBMConfig.textbook(levels=flat))
+    plain = PMBMTracker(textbook())
+    marked = PMBMTracker(textbook(scores=flat))
     for one in street(3).detections[:15]:
         a, b = plain.step(one), marked.step(one)
         assert a.id.tolist() == b.id.tolist()
@@ -55,30 +62,31 @@ def test_one_level_says_nothing_and_is_the_plain_filter():
 
 
 def test_the_number_of_objects_of_a_scene_is_a_gamma_variable():
-    """Shape usual x memory, rate memory, both raised by what was seen: its mean, in usual ones."""
-    assert Seen().abundance(usual=0.4, memory=30.0) == 1.0
-    seen = Seen().after(2.0, 0.0, 30.0).after(10.0, 3.0, 30.0)
+    """Shape mean_objects x prior_seconds, rate prior_seconds, both raised by what was seen: its
+    mean, over mean_objects."""
+    assert SceneDensity().abundance(mean_objects=0.4, prior_seconds=30.0) == 1.0
+    seen = SceneDensity().after(2.0, 0.0, 150.0).after(10.0, 3.0, 150.0)
     assert seen.abundance(0.4, 30.0) == pytest.approx((0.4 * 30 + 30) / (30 + 12) / 0.4)
-    crowd = Seen(looked=1e6, objects=8e6)
+    crowd = SceneDensity(looked=1e6, objects=8e6)
     assert crowd.abundance(0.4, 30.0) == pytest.approx(20, rel=1e-3)
 
 
 def test_a_scene_is_never_known_for_good():
-    """An hour of an empty road is worth five times the memory, and what is new still counts."""
-    empty = Seen()
+    """An hour of an empty road is worth five times the prior, and what is new still counts."""
+    empty = SceneDensity()
     for _ in range(36_000):
-        empty = empty.after(0.1, 0.0, 2.0)
+        empty = empty.after(0.1, 0.0, 10.0)
     assert (empty.looked, empty.objects) == (pytest.approx(10.0), 0.0)
     assert empty.abundance(1.5, 2.0) == pytest.approx(1 / 6)
-    busier = empty.after(1.0, 3.0, 2.0)
+    busier = empty.after(1.0, 3.0, 10.0)
     assert (busier.looked, busier.objects) == pytest.approx((10.0, 3.0 * 10 / 11))
 
 
 def test_fewer_objects_come_where_few_have_been():
     """Births of each level are those of objects and of others: the one scales with the scene, up to
     what is usual, the other stays."""
-    marks = levels(usual=0.5, memory=3.0)
-    scarce = Seen(looked=15.0, objects=0.0)
+    marks = levels(mean_objects=0.5, prior_seconds=3.0)
+    scarce = SceneDensity(looked=15.0, objects=0.0)
     share = scarce.abundance(0.5, 3.0)
     assert share == pytest.approx(1 / 6)
     objects, others = marks.birth * marks.object, marks.birth * (1 - marks.object)
@@ -86,51 +94,57 @@ def test_fewer_objects_come_where_few_have_been():
     assert marks.birth_after(scarce, anywhere) == pytest.approx(share * objects + others)
     # The posterior of both views of a source is one: which level, and whether an object.
     after = share * objects / (share * objects + others)
-    assert marks.object_after(scarce) == pytest.approx(after)
-    many = Seen(looked=15.0, objects=90.0)
+    assert marks.object_share(scarce) == pytest.approx(after)
+    many = SceneDensity(looked=15.0, objects=90.0)
     assert marks.birth_after(many, anywhere) == pytest.approx(marks.birth)
-    assert replace(marks, usual=None).birth_after(scarce, anywhere) == pytest.approx(marks.birth)
+    assert replace(marks, mean_objects=None).birth_after(scarce, anywhere) == pytest.approx(
+        marks.birth
+    )
 
 
 def test_what_comes_into_view_depends_on_where():
     """Linear between two distances, constant beyond; the tracker's first detections weigh it."""
     near, far = [0.8, 0.1, 0.1], [0.2, 0.2, 0.6]
     marks = levels(birth=[near, far], birth_at=[20.0, 60.0])
-    births = marks.birth_after(Seen(), np.array([5.0, 30.0, 40.0, 90.0]))
+    births = marks.birth_after(SceneDensity(), np.array([5.0, 30.0, 40.0, 90.0]))
     assert births == pytest.approx(np.array([near, [0.65, 0.125, 0.225], [0.5, 0.15, 0.35], far]))
-    scarce = Seen(looked=15.0, objects=0.0)
-    scaled = replace(marks, usual=0.5, memory=3.0).birth_after(scarce, np.array([90.0]))
+    scarce = SceneDensity(looked=15.0, objects=0.0)
+    scaled = replace(marks, mean_objects=0.5, prior_seconds=3.0).birth_after(
+        scarce, np.array([90.0])
+    )
     object_share = np.array(marks.object)
     assert scaled[0] == pytest.approx(np.array(far) * (object_share / 6 + 1 - object_share))
 
     both = frame(0.0, [[10.0, 0.0], [0.0, 70.0]], 1.0)
-    tracker = PMBMTracker(PMBMConfig.textbook(levels=marks))
+    tracker = PMBMTracker(textbook(scores=marks))
     tracker.step(both)
     local = tracker.density.local
     said = marks.evidence(marks.own(both)[1])
     order = np.argsort(local.mean[:, 1])
     expected = np.array([near, far]) * said
-    assert local.kind[order] == pytest.approx(expected / expected.sum(axis=1, keepdims=True))
+    assert local.marks.source[order] == pytest.approx(
+        expected / expected.sum(axis=1, keepdims=True)
+    )
     one_each = [tracker_of_one(marks, place) for place in ([10.0, 0.0], [0.0, 70.0])]
     assert one_each[1] > one_each[0]
 
 
 def tracker_of_one(marks, place):
-    tracker = PMBMTracker(PMBMConfig.textbook(levels=marks))
+    tracker = PMBMTracker(textbook(scores=marks))
     tracker.step(frame(0.0, [place], 1.0))
     return float(tracker.density.local.existence[0])
 
 
 def test_the_tracker_expects_fewer_objects_where_few_have_been():
     """The odds of a first detection are those of the scene's births."""
-    marks = levels(usual=0.5, memory=3.0)
+    marks = levels(mean_objects=0.5, prior_seconds=3.0)
     one = frame(0.1, [[5.0, 0.0]], 0.0)
     said = marks.evidence(marks.own(one)[1])[0]
     odds, births = [], []
-    for seen in (Seen(), Seen(looked=14.0, objects=0.0)):
-        tracker = PMBMTracker(PMBMConfig.textbook(levels=marks))
+    for seen in (SceneDensity(), SceneDensity(looked=14.0, objects=0.0)):
+        tracker = PMBMTracker(textbook(scores=marks))
         tracker.step(frame(0.0, [], 0.0))
-        tracker._seen = seen
+        tracker.state = replace(tracker.state, scene=seen)
         births.append(said @ marks.birth_after(seen, one.distance))
         tracker.step(one)
         (r,) = tracker.density.local.existence
@@ -141,18 +155,19 @@ def test_the_tracker_expects_fewer_objects_where_few_have_been():
 
 def test_an_uncertain_source_is_rather_an_object_where_there_are_many():
     """Five sure objects raise the odds of a sixth, at a level of even odds, with their number."""
-    marks = levels(usual=0.5, memory=3.0)
+    marks = levels(mean_objects=0.5, prior_seconds=3.0)
     sure = [[10.0 * k, 10.0] for k in range(1, 6)]
     score = {}
     for name, others in (("alone", []), ("crowd", sure)):
-        tracker = PMBMTracker(PMBMConfig.textbook(levels=marks, report_above=0.0))
+        tracker = PMBMTracker(textbook(scores=marks, report=ALL))
         for k in range(40):
             raw = np.r_[0.0, np.full(len(others), 3.0)]
             tracks = tracker.step(frame(0.1 * k, [[5.0, -20.0], *others], raw))
         score[name] = tracks.score[np.argmin(tracks.position[:, 1])]
-        count = tracker._seen.objects / tracker._seen.looked
+        scene = tracker.state.scene
+        count = scene.objects / scene.looked
         assert count == pytest.approx(len(others) + 0.5, abs=0.3)
-        odds = tracker._seen.abundance(0.5, 3.0)
+        odds = scene.abundance(0.5, 3.0)
         assert score[name] == pytest.approx(odds / (1 + odds), abs=0.05)
     assert score["crowd"] > 0.8 > 0.55 > score["alone"]
 
@@ -203,7 +218,7 @@ def test_a_tracker_of_one_label_is_told_of_rivals():
     score = []
     for rival in (-9.0, 9.0):
         mark = levels(label=Label.PEDESTRIAN)
-        tracker = PMBMTracker(PMBMConfig.textbook(levels=mark, report_above=0.0))
+        tracker = PMBMTracker(textbook(scores=mark, report=ALL))
         for k in range(5):
             own, other = (
                 frame(0.1 * k, [[5.0, 0.0]], 2.0, Label.PEDESTRIAN),
@@ -259,7 +274,7 @@ def test_where_sources_of_each_level_come_into_view_is_found_again():
     true, first = np.array(true + [False] * 500), np.array(first + [20.0] * 500)
     found = fit_levels(said, true, Label.CAR, PLAIN, first=first)
     for away, share in ((10.0, 0.1), (20.0, 0.1), (60.0, 0.8), (70.0, 0.8)):
-        births = found.birth_after(Seen(), np.array([away]))[0]
+        births = found.birth_after(SceneDensity(), np.array([away]))[0]
         assert births.sum() == pytest.approx(1)
         assert births[found.level > 0].sum() == pytest.approx(share, abs=0.08)
     few = np.r_[np.flatnonzero(true)[:99], np.flatnonzero(~true)]
@@ -280,10 +295,10 @@ def test_long_lives_tell_near_levels_apart():
 
 def test_marks_fitted_to_a_street_tell_its_cars_from_its_poles():
     made = [street(seed) for seed in range(3)]
-    config = PMBMConfig.textbook(clutter_rate=1.0, measurement_sd=0.1)
+    config = PMBMConfig.textbook().changed(STREET)
     marks = fit_marks(made, [[Label.CAR]], {Label.CAR: config})[Label.CAR]
-    assert marks.usual == pytest.approx(4 * 0.9, rel=0.05)
-    tracker = PMBMTracker(PMBMConfig.textbook(clutter_rate=1.0, measurement_sd=0.1, levels=marks))
+    assert marks.mean_objects == pytest.approx(4 * 0.9, rel=0.05)
+    tracker = PMBMTracker(replace(config, scores=marks))
     new = street(9)
     counts = [len(tracker.step(one)) for one in new.detections]
     assert np.mean(counts[20:]) == pytest.approx(4, abs=0.3)
@@ -291,7 +306,7 @@ def test_marks_fitted_to_a_street_tell_its_cars_from_its_poles():
 
 def test_sources_are_the_trackers_and_open_questions_are_left_out():
     made = street(4)
-    config = PMBMConfig.textbook(clutter_rate=1.0, measurement_sd=0.1)
+    config = PMBMConfig.textbook().changed(STREET)
     found = sources(made, Label.CAR, config)
     everything = np.concatenate([one.raw_score for one in made.detections])
     assert found.score == pytest.approx(everything[found.row])
@@ -312,11 +327,11 @@ def test_runs_of_misses_are_found_again():
             one.append(int(rng.random() < (0.98 if seen else 0.2)))
         hits = np.flatnonzero(one)
         flags.append(np.array(one[hits[0] : hits[-1] + 1], np.int8))
-    P_D, chain = fit_visibility(flags)
-    assert pytest.approx(0.98, abs=0.01) == P_D
-    assert chain.unseen == pytest.approx(0.2 / 0.98, abs=0.04)
-    assert chain.stay_seen == pytest.approx(0.97, abs=0.01)
-    assert chain.stay_unseen == pytest.approx(0.85, abs=0.03)
+    chain = fit_detection_chain(flags)
+    assert chain.base.probability == pytest.approx(0.98, abs=0.01)
+    assert chain.undetectable == pytest.approx(0.2 / 0.98, abs=0.04)
+    assert chain.stay_detectable == pytest.approx(0.97, abs=0.01)
+    assert chain.stay_undetectable == pytest.approx(0.85, abs=0.03)
 
 
 def test_runs_go_from_the_first_detection_to_the_last():
@@ -338,20 +353,18 @@ def test_what_cannot_be_fitted_is_refused_by_name():
     with pytest.raises(InputError, match="is_object"):
         fit_levels([np.ones(3)], np.array([True]), Label.CAR, PLAIN)
     with pytest.raises(InputError, match="flags"):
-        fit_visibility([np.ones(5, np.int8)])
+        fit_detection_chain([np.ones(5, np.int8)])
     for bad in (
         {"scatter": 0.0},
         {"level": [1.0, 0.0, 2.0]},
         {"birth": [0.5, 0.1, 0.1]},
         {"label": 9},
-        {"usual": 0.0},
-        {"memory": 0.0},
+        {"mean_objects": 0.0},
+        {"prior_seconds": 0.0},
     ):
         with pytest.raises(InputError, match=next(iter(bad))):
             levels(**bad)
-    with pytest.raises(InputError, match="levels"):
-        PMBMConfig(levels=levels(), scores="first")
-    assert isinstance(PMBMConfig(levels=levels()).visibility, Visibility)
+    assert isinstance(PMBMConfig(scores=levels()).sensor.detection, DetectionChain)
 
 
 def vars_of(recording):

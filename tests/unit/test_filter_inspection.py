@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from pmbm.errors import InputError
-from pmbm.filter import PMBMConfig, PMBMTracker
-from pmbm.filter.inspection import IN_THE_OPEN, OCCLUDER
-from pmbm.filter.story import tell
+from pmbm.filter import PMBMConfig, PMBMTracker, Report
+from pmbm.filter.explain.inspection import IN_THE_OPEN, OCCLUDER
+from pmbm.filter.explain.story import tell
 from pmbm.types import Detections, Site
 
 
@@ -26,7 +26,7 @@ def frame(when, xy, size=(1.0, 1.0, 1.0)):
 
 
 def test_the_tables_add_up_and_tell_the_history():
-    tracker = PMBMTracker(PMBMConfig(history=4))
+    tracker = PMBMTracker(PMBMConfig(report=Report(history=4)))
     with pytest.raises(InputError, match="first step"):
         tracker.inspect()
     for k, xy in enumerate([[[5, 0]], [[5.2, 0]], [], [[5.6, 0], [40, 40]], [[5.7, 0.5]]]):
@@ -55,7 +55,7 @@ def test_pairs_outside_the_gate_are_counted():
 
 
 def test_a_story_in_plain_words():
-    tracker = PMBMTracker(PMBMConfig(history=3))
+    tracker = PMBMTracker(PMBMConfig(report=Report(history=3)))
     for k in range(4):
         tracker.step(frame(0.1 * k, [[5.0 + k, -0.01]] if k != 2 else []))
     story = tracker.inspect().story(0)
@@ -67,12 +67,12 @@ def test_a_story_in_plain_words():
 
 def life_of(track_id, frames, config=None, site=None):
     """The story, and the tracker at its end."""
-    tracker = PMBMTracker(config or PMBMConfig(history=4), site)
+    tracker = PMBMTracker(config or PMBMConfig(report=Report(history=4)), site)
     steps, seen = [], []
     for one in frames:
         steps.append(tracker.step(one))
         seen.append(tracker.inspect())
-    recycle_below = tracker.config.recycle_below
+    recycle_below = tracker.config.reduction.recycle_below
     return tell(track_id, seen, steps, frames, recycle_below=recycle_below), tracker
 
 
@@ -127,7 +127,7 @@ def test_a_wall_is_named_and_the_open_is_not():
     story, tracker = life_of(0, frames, site=Site(occluders=(wall,)))
     assert "missed 2 times" in story
     assert "hidden behind a static occluder" in story
-    looked = tracker.inspect().looked
+    looked = tracker.inspect().sensor_view
     named = dict(zip(looked.track_id.tolist(), looked.hidden_by.tolist(), strict=True))
     assert (named[0], named[1]) == (OCCLUDER, IN_THE_OPEN)
     shown = dict(zip(looked.track_id.tolist(), looked.visible.tolist(), strict=True))
@@ -138,7 +138,7 @@ def test_a_wall_is_named_and_the_open_is_not():
 def test_who_hides_a_part_is_named_and_never_the_track_itself():
     frames = [behind_a_truck(0.1 * k, [20.0, 14.5]) for k in range(6)]
     _, tracker = life_of(1, frames)
-    looked = tracker.inspect().looked
+    looked = tracker.inspect().sensor_view
     row = looked.track_id.tolist().index(1)
     assert 0.2 < looked.visible[row] < 0.8
     assert looked.hidden_by[row] == 0
@@ -152,7 +152,7 @@ def test_an_unknown_track_is_met_with_those_that_there_are():
 
 def test_asking_changes_nothing():
     frames = [behind_a_truck(0.1 * k, *([[20.0, 0.0]] if k % 3 else [])) for k in range(12)]
-    asked, left = PMBMTracker(PMBMConfig(history=4)), PMBMTracker()
+    asked, left = PMBMTracker(PMBMConfig(report=Report(history=4))), PMBMTracker()
     for one in frames:
         a, b = asked.step(one), left.step(one)
         asked.inspect()

@@ -1,4 +1,5 @@
-"""Kinds with ghosts, and visibility in runs: exact, neutral where they should be, and worth it."""
+"""Classes with persistent clutter, and misses in runs: exact, neutral where they should be, and
+worth it."""
 
 from __future__ import annotations
 
@@ -6,14 +7,23 @@ import itertools
 
 import numpy as np
 import pytest
-from mark_builders import frame
+from mark_builders import chained, frame
 
 from pmbm.errors import InputError
-from pmbm.filter import Kinds, PMBMConfig, PMBMTracker, Visibility
-from pmbm.filter.marks import GHOST
+from pmbm.filter import (
+    BroadBirth,
+    DetectionChain,
+    ObjectClasses,
+    PMBMConfig,
+    PMBMTracker,
+    Sensor,
+    Survival,
+)
 from pmbm.score import ScoreModel
 from pmbm.types import Label
 
+OBJECTS = len(Label)
+"""Classes that are objects; their persistent clutter comes after them."""
 SCORES = ScoreModel(knot=[0.0, 1.0], log_odds=[-3.0, 3.0], base_rate=0.5)
 
 
@@ -58,33 +68,35 @@ def errors(config, truth, frames):
 def test_neutral_marks_are_the_plain_filter():
     _, frames = traffic(0, poles=2, burst=0.05)
     plain = PMBMTracker(PMBMConfig.textbook())
-    chain = Visibility(unseen=1.0, stay_seen=0.9, stay_unseen=0.8)
-    marked = PMBMTracker(PMBMConfig.textbook(visibility=chain))
-    kinds = PMBMTracker(PMBMConfig.textbook(kinds=Kinds.neutral(), report_above=0.5))
+    chain = chained(0.9, undetectable=1.0, stay_detectable=0.9, stay_undetectable=0.8)
+    marked = PMBMTracker(PMBMConfig.textbook().changed({"sensor.detection": chain}))
+    neutral = {"scores": ObjectClasses.neutral(), "report.above": 0.5}
+    classes = PMBMTracker(PMBMConfig.textbook().changed(neutral))
     for one in frames:
         a, b = plain.step(one), marked.step(one)
-        kinds.step(one)
+        classes.step(one)
         assert a.id.tolist() == b.id.tolist()
         np.testing.assert_allclose(b.score, a.score, rtol=1e-12)
         np.testing.assert_allclose(b.position, a.position, rtol=1e-12)
         np.testing.assert_allclose(
-            kinds.density.local.existence, plain.density.local.existence, rtol=1e-9, atol=1e-12
+            classes.density.local.existence, plain.density.local.existence, rtol=1e-9, atol=1e-12
         )
-        np.testing.assert_allclose(kinds.density.local.kind, 1 / 14, rtol=1e-9)
+        np.testing.assert_allclose(classes.density.local.marks.source, 1 / 14, rtol=1e-9)
 
 
 def test_visibility_is_a_hidden_markov_model():
-    """Existence and P(seen) through detections and misses, against a sum over all state paths."""
-    chain = Visibility(unseen=0.2 / 0.95, stay_seen=0.9, stay_unseen=0.7)
-    config = PMBMConfig.textbook(
-        visibility=chain,
-        detection_probability=0.95,
-        clutter_rate=1e-9,
-        birth_rate=0.0,
-        initial_objects=1.0,
-        survival=0.98,
-        recycle_below=0.0,
-        prune_hypothesis=0.01,
+    """Existence and P(detectable) through detections and misses, against a sum over all state
+    paths."""
+    chain = chained(0.95, undetectable=0.2 / 0.95, stay_detectable=0.9, stay_undetectable=0.7)
+    config = PMBMConfig.textbook().changed(
+        {
+            "sensor.detection": chain,
+            "sensor.clutter_rate": 1e-9,
+            "birth": BroadBirth(rate=0.0, initial=1.0),
+            "survival": Survival(probability=0.98),
+            "reduction.recycle_below": 0.0,
+            "reduction.prune_hypothesis": 0.01,
+        }
     )
     tracker = PMBMTracker(config)
     events = [1, 0, 0, 1, 0, 0, 0]
@@ -92,7 +104,7 @@ def test_visibility_is_a_hidden_markov_model():
         tracker.step(frame(0.1 * k, [[5.0, 0.0]] if event else []))
     step = np.array([[0.7, 0.3], [0.1, 0.9]])
     detection = np.array([0.2, 0.95])
-    usual = np.array([1 - chain.usual, chain.usual])
+    usual = np.array([1 - chain.stationary, chain.stationary])
     alive_paths = np.zeros(2)
     dead = 0.0
     for last_alive in range(len(events)):
@@ -111,17 +123,19 @@ def test_visibility_is_a_hidden_markov_model():
     local = tracker.density.local
     row = int(np.argmax(tracker.density.hypothesis_probability()))
     assert local.existence[row] == pytest.approx(existence, rel=1e-6)
-    assert local.seen[row] == pytest.approx(alive_paths[1] / alive_paths.sum(), rel=1e-6)
+    assert local.marks.detectable[row] == pytest.approx(
+        alive_paths[1] / alive_paths.sum(), rel=1e-6
+    )
 
 
 def test_misses_in_a_run_say_less_and_less():
-    chain = Visibility(unseen=0.1, stay_seen=0.95, stay_unseen=0.8)
+    chain = chained(0.95, undetectable=0.1, stay_detectable=0.95, stay_undetectable=0.8)
     lifetimes = {}
-    for name, config in {
-        "plain": PMBMConfig.textbook(detection_probability=0.95 * chain.usual_share),
-        "chain": PMBMConfig.textbook(visibility=chain, detection_probability=0.95),
+    for name, changes in {
+        "plain": {"sensor.detection.probability": chain.of_undetected()},
+        "chain": {"sensor.detection": chain},
     }.items():
-        tracker = PMBMTracker(config)
+        tracker = PMBMTracker(PMBMConfig.textbook().changed(changes))
         for k in range(10):
             tracker.step(frame(0.1 * k, [[5.0, 0.0]]))
         lifetimes[name] = 0
@@ -130,51 +144,54 @@ def test_misses_in_a_run_say_less_and_less():
     assert lifetimes["chain"] > lifetimes["plain"]
 
 
-def test_kinds_follow_bayes_rule():
-    kinds = Kinds.simple(ghosts=0.4, score=SCORES, mislabelled=0.12)
-    tracker = PMBMTracker(PMBMConfig.textbook(kinds=kinds, clutter_rate=1e-9))
+def test_classes_follow_bayes_rule():
+    classes = ObjectClasses.simple(persistent_clutter=0.4, score=SCORES, mislabelled=0.12)
+    told = {"scores": classes, "sensor.clutter_rate": 1e-9}
+    tracker = PMBMTracker(PMBMConfig.textbook().changed(told))
     scores, labels = [0.9, 0.3, 0.7], [Label.CAR, Label.TRUCK, Label.CAR]
     for k, (score, label) in enumerate(zip(scores, labels, strict=True)):
         tracks = tracker.step(frame(0.1 * k, [[5.0, 0.0]], label=label, score=score))
-    weight = kinds.birth.copy()
+    weight = classes.birth.copy()
     for score, label in zip(scores, labels, strict=True):
         ratio = np.exp(6 * score - 3)
-        weight *= kinds.confusion[:, label] * np.where(np.arange(14) < GHOST, ratio, 1.0)
+        weight *= classes.confusion[:, label] * np.where(np.arange(14) < OBJECTS, ratio, 1.0)
     expected = weight / weight.sum()
     row = int(np.argmax(tracker.density.hypothesis_probability()))
-    assert tracker.density.local.kind[row] == pytest.approx(expected, rel=1e-9)
+    assert tracker.density.local.marks.source[row] == pytest.approx(expected, rel=1e-9)
     assert tracks.label.tolist() == [Label.CAR]
     assert tracks.score == pytest.approx(
-        tracker.density.local.existence[row] * expected[:GHOST].sum(), rel=1e-5
+        tracker.density.local.existence[row] * expected[:OBJECTS].sum(), rel=1e-5
     )
 
 
 def test_poles_are_not_reported_as_cars():
-    kinds = Kinds.simple(ghosts=0.5, score=SCORES)
+    classes = ObjectClasses.simple(persistent_clutter=0.5, score=SCORES)
+    told = PMBMConfig.textbook().changed({"scores": classes})
     plain = marked = (0, 0)
     for seed in range(4):
         truth, frames = traffic(seed, poles=4)
         plain = np.add(plain, errors(PMBMConfig.textbook(), truth, frames))
-        marked = np.add(marked, errors(PMBMConfig.textbook(kinds=kinds), truth, frames))
-    print(f"missed, false: plain {plain}, with ghosts {marked}")
+        marked = np.add(marked, errors(told, truth, frames))
+    print(f"missed, false: plain {plain}, with persistent clutter {marked}")
     assert marked[1] < 0.2 * plain[1]
     assert marked[0] <= plain[0] + 10
 
 
 def test_cars_are_kept_through_runs_of_misses():
-    chain = Visibility(unseen=0.02, stay_seen=0.98, stay_unseen=0.83)
+    chain = chained(0.9, undetectable=0.02, stay_detectable=0.98, stay_undetectable=0.83)
+    told = PMBMConfig.textbook().changed({"sensor.detection": chain})
     plain = marked = (0, 0)
     for seed in range(4):
         truth, frames = traffic(seed, burst=0.03)
         plain = np.add(plain, errors(PMBMConfig.textbook(), truth, frames))
-        marked = np.add(marked, errors(PMBMConfig.textbook(visibility=chain), truth, frames))
-    print(f"missed, false: plain {plain}, with visibility {marked}")
+        marked = np.add(marked, errors(told, truth, frames))
+    print(f"missed, false: plain {plain}, with the chain {marked}")
     assert marked.sum() < 0.7 * plain.sum()
 
 
 def test_marked_output_is_causal():
     truth, frames = traffic(3, poles=3, burst=0.03)
-    config = PMBMConfig(kinds=Kinds.simple(ghosts=0.3, score=SCORES))
+    config = PMBMConfig(scores=ObjectClasses.simple(persistent_clutter=0.3, score=SCORES))
     whole, part = PMBMTracker(config), PMBMTracker(config)
     expected = [whole.step(one) for one in frames]
     for one, tracks in zip(frames[:20], expected, strict=False):
@@ -185,25 +202,25 @@ def test_marked_output_is_causal():
 
 
 def test_impossible_marks_are_refused_by_name():
-    good = {"unseen": 0.1, "stay_seen": 0.9, "stay_unseen": 0.8}
+    good = {"undetectable": 0.1, "stay_detectable": 0.9, "stay_undetectable": 0.8}
     for bad in (
-        {"unseen": 1.2},
-        {"stay_seen": 1.0},
-        {"stay_unseen": 0.05},
+        {"undetectable": 1.2},
+        {"stay_detectable": 1.0},
+        {"stay_undetectable": 0.05},
         {"interval": 0},
     ):
         with pytest.raises(InputError) as caught:
-            Visibility(**{**good, **bad})
+            DetectionChain(**{**good, **bad})
         assert next(iter(bad)) in str(caught.value)
     with pytest.raises(InputError, match="birth"):
-        Kinds(
+        ObjectClasses(
             birth=np.full(14, 0.2),
             confusion=np.full((14, 7), 1 / 7),
             clutter=np.full(7, 1 / 7),
             score=SCORES,
-            ghost_score=SCORES,
+            persistent_score=SCORES,
         )
     with pytest.raises(InputError, match="scores"):
-        PMBMConfig(kinds=Kinds.neutral(), scores="first")
-    with pytest.raises(InputError, match="visibility"):
-        PMBMConfig(visibility=0.9)
+        PMBMConfig(scores="first")
+    with pytest.raises(InputError, match="detection"):
+        Sensor(detection=0.9)

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from filter_problems import bernoullis
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from hypothesis import given
@@ -15,8 +16,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import ncx2
 
-from pmbm.filter.clusters import components
-from pmbm.filter.density import Density, Globals, Locals, Mixture
+from pmbm.filter import ConstantVelocity, Survival
+from pmbm.filter.density import Density, Globals, Mixture
 from pmbm.filter.estimation import (
     best_hypothesis,
     cardinality,
@@ -25,17 +26,12 @@ from pmbm.filter.estimation import (
     most_certain_hypothesis,
     poisson_binomial,
 )
-from pmbm.filter.gating import gate, near
-from pmbm.filter.gaussian import Innovation, corrected_cov, corrected_mean, gain, moments
-from pmbm.filter.models import (
-    Transition,
-    View,
-    births_over,
-    constant_velocity,
-    spread_over,
-    survival_over,
-)
-from pmbm.filter.prediction import predict
+from pmbm.filter.hypotheses.clusters import components
+from pmbm.filter.hypotheses.gating import gate, near
+from pmbm.filter.hypotheses.gaussian import Innovation, corrected_cov, corrected_mean, gain, moments
+from pmbm.filter.models.birth import spread_over
+from pmbm.filter.models.view import View
+from pmbm.filter.prediction import Transition, predict
 from pmbm.filter.reduction import merge_mixture
 
 seconds = st.floats(0.001, 20.0)
@@ -48,7 +44,7 @@ def covariances(seed, n=1, scale=1.0):
 
 @pytest.mark.parametrize("dt", [0.05, 0.1, 1.0, 7.0])
 def test_process_noise_is_the_continuous_one(dt):
-    F, Q = constant_velocity(dt, 2.5)
+    F, Q = ConstantVelocity(acceleration_density=2.5).transition(dt)
     expected = Q_continuous_white_noise(
         2, dt, spectral_density=2.5, block_size=2, order_by_dim=False
     )
@@ -58,24 +54,18 @@ def test_process_noise_is_the_continuous_one(dt):
 
 @given(seconds, seconds, st.floats(0.5, 1.0), st.integers(0, 99))
 def test_predicting_twice_is_predicting_once(a, b, survival, seed):
+    life = Survival(probability=survival, interval=0.1)
+
     def over(density, dt):
-        F, Q = constant_velocity(dt, 2.0)
-        births = births_over(dt, 0.7, survival, 0.1)
+        F, Q = ConstantVelocity(acceleration_density=2.0).transition(dt)
+        births = life.alive(dt, 0.7)
         birth = Mixture(np.array([math.log(births)]), np.zeros((1, 4)), np.eye(4)[None])
-        return predict(density, Transition(F, Q, survival_over(dt, survival, 0.1)), birth)
+        return predict(density, Transition(F, Q, life.over(dt)), birth)
 
     rng = np.random.default_rng(seed)
     start = Density(
         Mixture(np.log([0.4]), rng.normal(size=(1, 4)), covariances(seed)),
-        Locals(
-            np.zeros(1, np.intp),
-            np.array([0.8]),
-            rng.normal(size=(1, 4)),
-            covariances(seed + 1),
-            np.ones((1, 5)),
-            np.zeros(1, np.int8),
-            np.zeros((1, 0), np.int32),
-        ),
+        bernoullis([0], [0.8], rng.normal(size=(1, 4)), covariances(seed + 1)),
         Globals(np.zeros(1, np.intp), np.zeros(1), np.array([0, 1]), np.zeros(1, np.intp)),
         np.zeros(1, np.int64),
     )
@@ -88,10 +78,10 @@ def test_predicting_twice_is_predicting_once(a, b, survival, seed):
 
 
 def test_births_without_deaths_grow_with_time():
-    assert births_over(2.0, 0.5, 1.0, 0.1) == 1.0
-    assert births_over(0.0, 0.5, 0.9, 0.1) == 0.0
-    assert births_over(1.0, 0.5, 0.0, 0.1) == 0.0
-    assert births_over(1e6, 0.5, 0.99, 0.1) == pytest.approx(0.5 * 0.1 / -math.log(0.99))
+    assert Survival(probability=1.0).alive(2.0, 0.5) == 1.0
+    assert Survival(probability=0.9).alive(0.0, 0.5) == 0.0
+    assert Survival(probability=0.0).alive(1.0, 0.5) == 0.0
+    assert Survival(probability=0.99).alive(1e6, 0.5) == pytest.approx(0.5 * 0.1 / -math.log(0.99))
 
 
 @given(st.integers(0, 200))
@@ -135,7 +125,7 @@ def test_a_measurement_many_orders_better_than_the_prior_is_believed():
 
 @given(st.integers(0, 200), st.sampled_from([20_000, 0]))
 def test_the_gate_holds_whom_it_should(seed, dense_below):
-    import pmbm.filter.gating as module
+    import pmbm.filter.hypotheses.gating as module
 
     rng = np.random.default_rng(seed)
     n, m = rng.integers(1, 25, 2)
@@ -143,11 +133,11 @@ def test_the_gate_holds_whom_it_should(seed, dense_below):
     mean[:, :2] = rng.normal(0, 6, (n, 2))
     cov = covariances(seed, n, scale=rng.choice([0.3, 1.0, 5.0], (n, 1, 1)))
     z = rng.normal(0, 6, (m, 2))
-    saved, module._DENSE_BELOW = module._DENSE_BELOW, dense_below
+    saved, module.DENSE_BELOW = module.DENSE_BELOW, dense_below
     try:
         row, column, y = gate(Innovation.of(mean, cov, 0.1 * np.eye(2)), z, 9.0)
     finally:
-        module._DENSE_BELOW = saved
+        module.DENSE_BELOW = saved
     nu = z - mean[:, None, :2]
     S = cov[:, None, :2, :2] + 0.1 * np.eye(2)
     d2 = np.einsum("nmi,nmij,nmj->nm", nu, np.linalg.inv(S) + 0 * nu[..., None], nu)
@@ -281,14 +271,11 @@ def scene(seed, tracks=4):
         weight[cluster == c] /= weight[cluster == c].sum()
     return Density(
         Mixture.empty(),
-        Locals(
+        bernoullis(
             np.repeat(np.arange(tracks), 2),
             rng.random(H),
             rng.normal(size=(H, 4)),
             covariances(0, H),
-            np.ones((H, 5)),
-            np.zeros(H, np.int8),
-            np.zeros((H, 0), np.int32),
         ),
         Globals(
             cluster,

@@ -7,14 +7,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from filter_problems import KEEP_ALL, plain_sensor, scan_of
 
 from pmbm.errors import InputError
-from pmbm.filter import PMBMConfig, PMBMTracker
-from pmbm.filter.density import Density, Mixture
-from pmbm.filter.marks import Levels
-from pmbm.filter.models import DetectionFromScores, Sensor
-from pmbm.filter.scan import Scan
+from pmbm.filter import (
+    ConstantVelocity,
+    DetectionFromScores,
+    EveryScore,
+    FirstScore,
+    FixedDetection,
+    LastingScores,
+    PMBMConfig,
+    PMBMTracker,
+    Sensor,
+)
+from pmbm.filter.association import associate
+from pmbm.filter.density import Density, Marks, Mixture
+from pmbm.filter.prediction import Transition, predict
+from pmbm.filter.update import update
 from pmbm.score import ScoreModel
+from pmbm.study.configured import from_table
 from pmbm.tracking import make_tracker, tracker_factory
 from pmbm.types import Detections, Site
 
@@ -53,47 +65,56 @@ def assert_equal_bits(a, b):
             assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
 
 
-PAPER_SCORES_ALONE = {"miss_rule": "bayes", "detection_from_scores": "off"}
+ONE_P_D = FixedDetection(probability=0.9)
+PAPER_SCORES_ALONE = {"sensor.miss_rule": "bayes", "sensor.detection": ONE_P_D}
+KEPT = replace(KEEP_ALL, gate=20.0, max_hypotheses=9, clustering=True)
+
+
+def textbook(**changes):
+    return replace(PMBMConfig.textbook(), **changes)
+
+
+def paper_scores_alone(**changes):
+    return replace(PMBMConfig.paper().changed(PAPER_SCORES_ALONE), **changes)
 
 
 def test_scores_that_say_nothing_give_the_textbook_bit_for_bit():
     seen = list(frames(0, score=0.5))
-    textbook, _ = outputs(PMBMConfig.textbook(), seen)
-    paper, _ = outputs(PMBMConfig.paper(**PAPER_SCORES_ALONE), seen)
-    everywhere, _ = outputs(PMBMConfig.textbook(scores="everywhere"), seen)
-    assert sum(map(len, textbook)) > 50
-    assert_equal_bits(paper, textbook)
-    assert_equal_bits(everywhere, textbook)
-    dull = PMBMConfig.paper(score_model=ScoreModel.uninformative(), **PAPER_SCORES_ALONE)
+    plain, _ = outputs(textbook(), seen)
+    paper, _ = outputs(paper_scores_alone(), seen)
+    everywhere, _ = outputs(textbook(scores=EveryScore()), seen)
+    assert sum(map(len, plain)) > 50
+    assert_equal_bits(paper, plain)
+    assert_equal_bits(everywhere, plain)
+    dull = paper_scores_alone(scores=FirstScore(score_model=ScoreModel.uninformative()))
     random_scores = list(frames(1))
-    assert_equal_bits(
-        outputs(dull, random_scores)[0], outputs(PMBMConfig.textbook(), random_scores)[0]
-    )
+    assert_equal_bits(outputs(dull, random_scores)[0], outputs(textbook(), random_scores)[0])
 
 
 def test_scores_that_say_something_change_the_outcome():
     seen = list(frames(1))
-    textbook, _ = outputs(PMBMConfig.textbook(), seen)
+    plain, _ = outputs(textbook(), seen)
     for changes in (
-        {"scores": "first"},
-        {"scores": "everywhere"},
-        {"miss_rule": "scaled"},
-        {"detection_from_scores": "rising"},
-        {"detection_from_scores": "falling"},
+        {"scores": FirstScore()},
+        {"scores": EveryScore()},
+        {"sensor.miss_rule": "scaled"},
+        {"sensor.detection": DetectionFromScores(rising=True, undetected=0.9)},
+        {"sensor.detection": DetectionFromScores(rising=False, undetected=0.9)},
     ):
-        other, _ = outputs(PMBMConfig.textbook(**changes), seen)
+        other, _ = outputs(textbook().changed(changes), seen)
         with pytest.raises(AssertionError):
-            assert_equal_bits(other, textbook)
+            assert_equal_bits(other, plain)
 
 
 @pytest.mark.parametrize("score", [0.2, 0.9, 0.0, 1.0])
 def test_a_first_detection_by_the_papers_rule(score):
     """r = s e / (s e + (1 - s) lambda_c)."""
     one = next(iter(frames(2, score=score)))
-    plain, textbook = outputs(PMBMConfig.textbook(recycle_below=0.0), [one])
-    _, paper = outputs(PMBMConfig.paper(recycle_below=0.0, **PAPER_SCORES_ALONE), [one])
+    kept = {"reduction.recycle_below": 0.0}
+    plain, unscored = outputs(textbook().changed(kept), [one])
+    _, paper = outputs(paper_scores_alone().changed(kept), [one])
     s = np.clip(score, 1e-3, 1 - 1e-3)
-    r = textbook.density.local.existence
+    r = unscored.density.local.existence
     odds = r / (1 - r) * s / (1 - s)
     assert paper.density.local.existence == pytest.approx(odds / (1 + odds), rel=1e-6)
     assert len(plain[0]) <= len(one)
@@ -101,54 +122,43 @@ def test_a_first_detection_by_the_papers_rule(score):
 
 def test_the_papers_weight_of_a_first_detection():
     """2 (s e + (1 - s) lambda_c); all other branches unscaled."""
-    from pmbm.filter.association import associate
-
     ppp = Mixture(np.log([0.4]), np.zeros((1, 4)), np.diag([9.0, 9, 1, 1])[None])
-    sensor = Sensor(0.1 * np.eye(2), 0.9, 0.02)
-    scan = Scan.of_positions([[0.5, 0.0], [1.0, 1.0]])
+    sensor = plain_sensor(0.1 * np.eye(2), 0.9, 0.02)
+    scan = scan_of([[0.5, 0.0], [1.0, 1.0]])
     s = np.array([0.3, 0.8])
     scored = replace(scan, first=np.column_stack([2 * s, 2 * (1 - s)]))
     start = Density.initial(ppp)
-    plain, paper = (
-        associate(start, one, sensor, gate_threshold=20, max_hypotheses=9) for one in (scan, scored)
-    )
-    e = np.exp(plain.log_first)
+    plain, paper = (associate(start, one, sensor, KEPT) for one in (scan, scored))
+    e = np.exp(plain.log_birth_evidence)
     assert np.exp(paper.log_new) == pytest.approx(2 * (s * e + (1 - s) * 0.02))
     assert np.exp(plain.log_new) == pytest.approx(e + 0.02)
 
 
 def test_likelihood_ratios_speak_in_every_branch():
     """Weights and existence as if e and the track's likelihood were multiplied by the ratio."""
-    from pmbm.filter.association import associate
-    from pmbm.filter.models import Transition, constant_velocity
-    from pmbm.filter.prediction import predict
-    from pmbm.filter.update import update
-
     ppp = Mixture(np.log([0.4]), np.zeros((1, 4)), np.diag([9.0, 9, 1, 1])[None])
-    sensor = Sensor(0.1 * np.eye(2), 0.9, 0.02)
-    first = Scan.of_positions([[0.5, 0.0]])
+    sensor = plain_sensor(0.1 * np.eye(2), 0.9, 0.02)
+    first = scan_of([[0.5, 0.0]])
     start = Density.initial(ppp)
-    found = associate(start, first, sensor, gate_threshold=20, max_hypotheses=9)
+    found = associate(start, first, sensor, KEPT)
     prior = predict(
         update(start, first, found, sensor),
-        Transition(*constant_velocity(0.1, 1.0), 0.99),
+        Transition(*ConstantVelocity(acceleration_density=1.0).transition(0.1), 0.99),
         Mixture.empty(),
     )
-    scan = Scan.of_positions([[0.6, 0.1]])
+    scan = scan_of([[0.6, 0.1]])
     scored = replace(scan, evidence=np.array([[4.0]]))
-    plain, paper = (
-        associate(prior, one, sensor, gate_threshold=20, max_hypotheses=9) for one in (scan, scored)
-    )
+    plain, paper = (associate(prior, one, sensor, KEPT) for one in (scan, scored))
     assert paper.known.log_weight == pytest.approx(plain.known.log_weight + math.log(4))
-    assert paper.log_first == pytest.approx(plain.log_first + math.log(4))
-    assert np.exp(paper.log_new) == pytest.approx(4 * np.exp(plain.log_first) + 0.02)
+    assert paper.log_birth_evidence == pytest.approx(plain.log_birth_evidence + math.log(4))
+    assert np.exp(paper.log_new) == pytest.approx(4 * np.exp(plain.log_birth_evidence) + 0.02)
     assert paper.log_missed == pytest.approx(plain.log_missed, abs=0)
 
 
 def test_two_rules_for_a_miss():
     r, P_D = np.array([0.5, 1.0, 0.0]), np.array([0.9, 0.8, 0.7])
-    bayes = Sensor(np.eye(2), 0.9, 0.1).missed(r, P_D)
-    scaled = Sensor(np.eye(2), 0.9, 0.1, scaled_misses=True).missed(r, P_D)
+    bayes = plain_sensor(np.eye(2), 0.9, 0.1).missed(r, P_D)
+    scaled = plain_sensor(np.eye(2), 0.9, 0.1, scaled_misses=True).missed(r, P_D)
     assert bayes[0] == pytest.approx([0.05 / 0.55, 1.0, 0.0])
     assert bayes[1] == pytest.approx([0.55, 0.2, 1.0])
     assert scaled[0] == pytest.approx([0.05, 0.2, 0.0])
@@ -156,21 +166,21 @@ def test_two_rules_for_a_miss():
 
 
 def test_detection_probability_from_past_scores():
-    rising = DetectionFromScores(0.6, 0.9, rising=True, newest=0.3)
+    rising = DetectionFromScores(low=0.6, high=0.9, rising=True, newest=0.3)
     falling = replace(rising, rising=False)
-    assert rising.of(np.array([0.0, 0.5, 1.0])) == pytest.approx([0.6, 0.75, 0.9])
-    assert falling.of(np.array([0.0, 0.5, 1.0])) == pytest.approx([0.9, 0.75, 0.6])
-    sensor = Sensor(np.eye(2), 0.9, 0.1, from_scores=rising)
-    remembered = sensor.remembered(np.array([0.5]), np.array([0.1, 1.0]), np.array([1]))
-    assert remembered == pytest.approx([0.65])
+    marks = replace(Marks.neutral(3), confidence=np.array([0.0, 0.5, 1.0]))
+    assert rising.of_tracks(marks) == pytest.approx([0.6, 0.75, 0.9])
+    assert falling.of_tracks(marks) == pytest.approx([0.9, 0.75, 0.6])
+    before = replace(Marks.neutral(1), confidence=np.array([0.5]))
+    assert rising.if_detected(before, np.array([1.0])).confidence == pytest.approx([0.65])
 
 
 @pytest.mark.parametrize("rule", ["rising", "falling"])
 def test_a_clear_track_survives_misses_shorter_or_longer(rule):
     lifetimes = {}
     for score in (0.05, 0.95):
-        config = PMBMConfig.textbook(detection_from_scores=rule, scores="ignore")
-        tracker = PMBMTracker(config)
+        from_scores = DetectionFromScores(rising=rule == "rising", undetected=0.9)
+        tracker = PMBMTracker(textbook().changed({"sensor.detection": from_scores}))
         for k in range(10):
             one = Detections(
                 time=0.1 * k,
@@ -194,8 +204,8 @@ def test_what_scores_low_again_and_again_is_no_object(score, reported):
     random = np.random.default_rng(0)
     places = np.array([[10.0, 0, 1], [20, 5, 1], [30, -5, 1], [15, 10, 1], [25, -15, 1]])
     seen = {}
-    for rule in ("everywhere", "lasting"):
-        tracker = PMBMTracker(PMBMConfig(scores=rule))
+    for rule, scores in (("everywhere", EveryScore()), ("lasting", LastingScores())):
+        tracker = PMBMTracker(PMBMConfig(scores=scores))
         for k in range(40):
             own = np.clip(random.normal(score, 0.08), 0.05, 0.95)
             tracks = tracker.step(
@@ -250,7 +260,7 @@ def test_the_first_object_after_a_long_empty_time_is_believed(score, within):
 def test_a_new_source_is_as_likely_as_its_score_says():
     """Whatever its level may be: weighted by the shares of the levels, the evidence is the odds."""
     score = np.linspace(0.03, 0.97, 9)
-    levels = Levels.at_their_word(ScoreModel.trusting())
+    levels = LastingScores()
     one = replace(next(iter(frames(2))).take(np.zeros(9, int)), score=score)
     own, log_odds = levels.own(one)
     assert len(own) == 9
@@ -266,28 +276,28 @@ def test_a_new_source_is_as_likely_as_its_score_says():
 
 def test_raw_scores_are_read_where_the_model_asks_for_them():
     model = ScoreModel(knot=[-5.0, 5.0], log_odds=[-5.0, 5.0], base_rate=0.5, scale="raw_score")
-    config = PMBMConfig.textbook(scores="everywhere", score_model=model)
+    config = textbook(scores=EveryScore(score_model=model))
     with_raw = list(frames(4, score=0.1, raw=0.0))
-    assert_equal_bits(outputs(config, with_raw)[0], outputs(PMBMConfig.textbook(), with_raw)[0])
+    assert_equal_bits(outputs(config, with_raw)[0], outputs(textbook(), with_raw)[0])
     with pytest.raises(InputError, match="raw_score"):
         outputs(config, frames(4))
 
 
 def test_presets_take_changes_and_refuse_nonsense():
-    assert PMBMConfig.paper(gate=9.0).gate == 9.0
-    assert PMBMConfig.textbook().miss_rule == "bayes"
-    for bad in (
-        {"scores": "fist"},
-        {"miss_rule": "none"},
-        {"detection_from_scores": True},
-        {"score_model": 0.5},
-        {"detection_low": 0.99, "detection_high": 0.5},
+    assert PMBMConfig.paper().changed({"reduction.gate": 9.0}).reduction.gate == 9.0
+    assert PMBMConfig.textbook().sensor.miss_rule == "bayes"
+    for part, bad in (
+        (PMBMConfig, {"scores": "fist"}),
+        (Sensor, {"miss_rule": "none"}),
+        (DetectionFromScores, {"rising": "falling"}),
+        (EveryScore, {"score_model": 0.5}),
+        (FirstScore, {"score_model": 0.5}),
+        (DetectionFromScores, {"low": 0.99, "high": 0.5}),
     ):
-        with pytest.raises(InputError) as caught:
-            PMBMConfig(**bad)
-        assert next(iter(bad)) in str(caught.value)
+        with pytest.raises(InputError, match=next(iter(bad))):
+            part(**bad)
     with pytest.raises(InputError, match="did you mean 'first'"):
-        PMBMConfig(scores="fist")
+        from_table(PMBMConfig, {"scores": {"kind": "fist"}})
 
 
 def test_presets_can_be_named_wherever_a_tracker_is():

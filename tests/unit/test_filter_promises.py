@@ -11,12 +11,26 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from test_filter_tracker import drive, equal, frame
 
-from pmbm.filter import Kinds, PMBMConfig, PMBMTracker, Visibility
+from pmbm.filter import (
+    BirthMap,
+    BroadBirth,
+    DetectionChain,
+    DetectionFromScores,
+    EveryScore,
+    FixedDetection,
+    ObjectClasses,
+    PMBMConfig,
+    PMBMTracker,
+    Reduction,
+    Report,
+    Sensor,
+)
 from pmbm.score import ScoreModel
 from pmbm.types import Site
 
@@ -42,7 +56,14 @@ def wellformed(tracker):
 def test_likelihoods_of_1e_minus_400(gate, clutter):
     """A detection 60 sd from the only track: its likelihood is below the smallest number there is.
     It is a new object or clutter, whatever the gate lets through, and the track stays."""
-    config = PMBMConfig(gate=gate, clutter_rate=clutter, measurement_sd=0.05, spectral_density=0.01)
+    config = PMBMConfig().changed(
+        {
+            "reduction.gate": gate,
+            "sensor.clutter_rate": clutter,
+            "sensor.position_sd": 0.05,
+            "motion.acceleration_density": 0.01,
+        }
+    )
     tracker = PMBMTracker(config)
     for k in range(20):
         tracks = tracker.step(frame(0.1 * k, [[5.0, 0.0]]))
@@ -65,14 +86,32 @@ def test_likelihoods_of_1e_minus_400(gate, clutter):
 
 SCORES = ScoreModel(knot=[0.0, 1.0], log_odds=[-8.0, 8.0], base_rate=0.5)
 WHERE_SCORES_COUNT = {
-    "paper": PMBMConfig.paper,
-    "rising": lambda **known: PMBMConfig.paper(detection_from_scores="rising", **known),
-    "everywhere": lambda **known: PMBMConfig(scores="everywhere", **known),
-    "kinds": lambda **known: PMBMConfig(kinds=Kinds.simple(ghosts=0.3, score=SCORES), **known),
-    "never unseen": lambda **known: PMBMConfig(
-        visibility=Visibility(unseen=0.0, stay_seen=0.9, stay_unseen=0.9), **known
+    "paper": PMBMConfig.paper(),
+    "rising": PMBMConfig.paper().changed({"sensor.detection.rising": True}),
+    "everywhere": PMBMConfig(scores=EveryScore()),
+    "classes": PMBMConfig(scores=ObjectClasses.simple(persistent_clutter=0.3, score=SCORES)),
+    "never while undetectable": PMBMConfig(
+        sensor=Sensor(
+            detection=DetectionChain(undetectable=0.0, stay_detectable=0.9, stay_undetectable=0.9)
+        )
     ),
 }
+
+
+def believing(config, P_D=None, clutter=None):
+    """The configuration with another P_D, of objects never detected where tracks have their own,
+    and another clutter rate."""
+    sensor = config.sensor
+    if P_D is not None:
+        detection = (
+            replace(sensor.detection, undetected=P_D)
+            if isinstance(sensor.detection, DetectionFromScores)
+            else replace(sensor.detection, base=FixedDetection(probability=P_D))
+        )
+        sensor = replace(sensor, detection=detection)
+    if clutter is not None:
+        sensor = replace(sensor, clutter_rate=clutter)
+    return replace(config, sensor=sensor)
 
 
 @pytest.mark.parametrize("name", WHERE_SCORES_COUNT)
@@ -80,17 +119,17 @@ WHERE_SCORES_COUNT = {
     "known",
     [
         {},
-        {"detection_probability": 0.0},
-        {"detection_probability": 1.0},
-        {"clutter_rate": 0.0},
-        {"clutter_rate": 0.0, "detection_probability": 1.0},
+        {"P_D": 0.0},
+        {"P_D": 1.0},
+        {"clutter": 0.0},
+        {"clutter": 0.0, "P_D": 1.0},
     ],
     ids=lambda known: ", ".join(f"{what} {value:g}" for what, value in known.items()) or "usual",
 )
 def test_certain_scores_under_certain_beliefs(name, known):
     """Scores of exactly 0 and 1, alone and in turn, through frames, misses and a gap of 10 s."""
     for scores in ([0.0], [1.0], [0.0, 1.0]):
-        tracker = PMBMTracker(WHERE_SCORES_COUNT[name](**known))
+        tracker = PMBMTracker(believing(WHERE_SCORES_COUNT[name], **known))
         for k, one in enumerate(drive(3, frames=14, objects=3, clutter=1.0)):
             z = one.position[:, :2] if k % 5 else np.zeros((0, 2))
             when = one.time if k < 10 else one.time + 10.0
@@ -102,7 +141,13 @@ def test_certain_scores_under_certain_beliefs(name, known):
 
 def test_covariances_that_are_nearly_singular():
     """Micrometre measurements of objects that may move at 1000 m/s, over steps of a microsecond."""
-    config = PMBMConfig(measurement_sd=1e-6, birth_speed_sd=1e3, spectral_density=1e-12)
+    config = PMBMConfig().changed(
+        {
+            "sensor.position_sd": 1e-6,
+            "birth.speed_sd": 1e3,
+            "motion.acceleration_density": 1e-12,
+        }
+    )
     tracker = PMBMTracker(config)
     rng = np.random.default_rng(1)
     for k in range(30):
@@ -113,8 +158,11 @@ def test_covariances_that_are_nearly_singular():
 
 def test_objects_that_coincide_are_bounded_work_and_the_caps_are_told(monkeypatch):
     """A dozen detections in one place, again and again: more hypotheses than are to be kept."""
-    monkeypatch.setattr("pmbm.filter.clusters.largest_table", lambda _: 400)
-    config = PMBMConfig(max_hypotheses=20, prune_hypothesis=0.0, initial_objects=20.0)
+    monkeypatch.setattr("pmbm.filter.hypotheses.clusters.largest_table", lambda _: 400)
+    config = PMBMConfig(
+        birth=BroadBirth(initial=20.0),
+        reduction=Reduction(max_hypotheses=20, prune_hypothesis=0.0),
+    )
     tracker = PMBMTracker(config)
     rng = np.random.default_rng(0)
     capped = 0
@@ -131,7 +179,9 @@ def test_objects_that_coincide_are_bounded_work_and_the_caps_are_told(monkeypatc
 def test_as_many_hypotheses_are_kept_as_the_configuration_says(clustering):
     """Ten objects in one place: a cluster of many tracks, and of more than 6000 entries."""
     config = PMBMConfig(
-        max_hypotheses=2000, prune_hypothesis=0.0, split_below=0.0, clustering=clustering
+        reduction=Reduction(
+            max_hypotheses=2000, prune_hypothesis=0.0, split_below=0.0, clustering=clustering
+        )
     )
     tracker = PMBMTracker(config)
     rng = np.random.default_rng(0)
@@ -142,7 +192,10 @@ def test_as_many_hypotheses_are_kept_as_the_configuration_says(clustering):
 
 def test_more_tracks_than_may_be_kept_is_told():
     rng = np.random.default_rng(0)
-    tracker = PMBMTracker(PMBMConfig(max_tracks=50, clutter_rate=50.0, recycle_below=0.0))
+    config = PMBMConfig(
+        sensor=Sensor(clutter_rate=50.0), reduction=Reduction(max_tracks=50, recycle_below=0.0)
+    )
+    tracker = PMBMTracker(config)
     tracker.step(frame(0.0, rng.uniform(-70, 70, (300, 2))))
     assert tracker.inspect().reduced.tracks_capped > 100
     assert len(np.unique(tracker.density.local.track)) <= 50
@@ -155,7 +208,7 @@ def test_a_moved_and_turned_world_hides_the_same(turn):
     shift = np.array([400.0, -150.0])
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     wall = np.array([[12.0, -6.0], [14.0, -6.0], [14.0, 2.0], [12.0, 2.0]])
-    config = PMBMConfig(occlusion=True)
+    config = PMBMConfig(sensor=Sensor(occlusion=True))
     here = PMBMTracker(config, Site(max_range=70.0, occluders=(wall,)))
     there = PMBMTracker(config, Site(max_range=70.0, occluders=(wall @ rotation.T + shift,)))
     reported = 0
@@ -171,14 +224,15 @@ def test_a_moved_and_turned_world_hides_the_same(turn):
         )
         np.testing.assert_allclose(y.score, x.score, rtol=0, atol=1e-6)
     assert reported > 50
-    seen = here.inspect().looked.visible
+    seen = here.inspect().sensor_view.visible
     assert (seen < 0.9).any()
 
 
 def test_a_tracker_that_was_asked_is_copied_like_any_other():
     """Also with the map of the unseen, whose ground is kept between steps."""
     frames = drive(6, frames=8)
-    tracker = PMBMTracker(PMBMConfig(undetected_detail=4.0, history=3), Site(max_range=40.0))
+    config = PMBMConfig(birth=BirthMap(spacing=4.0), report=Report(history=3))
+    tracker = PMBMTracker(config, Site(max_range=40.0))
     for one in frames[:4]:
         tracker.step(one)
         tracker.inspect()

@@ -10,10 +10,23 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 
 from pmbm.errors import InputError
-from pmbm.filter import Levels, PMBMConfig, PMBMTracker, smooth
+from pmbm.filter import (
+    BroadBirth,
+    FixedDetection,
+    IgnoreScores,
+    PMBMConfig,
+    PMBMTracker,
+    Reduction,
+    Report,
+    ScoreLevels,
+    Survival,
+    smooth,
+)
 from pmbm.geometry import wrap_angle
 from pmbm.score import Calibration
 from pmbm.types import Detections
+
+ALONE = PMBMConfig.textbook().changed({"sensor.clutter_rate": 1e-6})
 
 
 def frame(when, xy, length=4.0):
@@ -44,9 +57,8 @@ def drive(seed, frames=60, gap=()):
 
 def test_it_is_the_rauch_tung_striebel_smoother():
     _, frames = drive(0, gap=(20, 33))
-    config = PMBMConfig.textbook(clutter_rate=1e-6)
-    steps = [PMBMTracker.step(t, one) for t in [PMBMTracker(config)] for one in frames]
-    after = smooth(steps, config)
+    steps = [PMBMTracker.step(t, one) for t in [PMBMTracker(ALONE)] for one in frames]
+    after = smooth(steps, ALONE)
     begun = next(k for k, one in enumerate(steps) if len(one))
     kf = KalmanFilter(dim_x=4, dim_z=2)
     Q = Q_continuous_white_noise(2, 0.1, spectral_density=2.0, block_size=2, order_by_dim=False)
@@ -77,8 +89,13 @@ def test_later_frames_make_earlier_ones_better():
 
 def test_gaps_are_filled_and_tracks_reach_back():
     truth, frames = drive(1, gap=(26, 27))
-    early = PMBMConfig.textbook(
-        report_above=0.01, initial_objects=0.0, measurement_sd=0.3, clutter_rate=2.0
+    early = PMBMConfig.textbook().changed(
+        {
+            "report.above": 0.01,
+            "birth.initial": 0.0,
+            "sensor.position_sd": 0.3,
+            "sensor.clutter_rate": 2.0,
+        }
     )
     tracker = PMBMTracker(early)
     steps = [tracker.step(one) for one in frames]
@@ -94,7 +111,12 @@ def test_gaps_are_filled_and_tracks_reach_back():
 
 def test_what_never_was_probable_is_not_reported():
     tracker = PMBMTracker(
-        PMBMConfig(report_above=0.001, initial_objects=0.0, recycle_below=1e-4, scores="ignore")
+        PMBMConfig(
+            birth=BroadBirth(initial=0.0),
+            scores=IgnoreScores(),
+            reduction=Reduction(recycle_below=1e-4),
+            report=Report(above=0.001),
+        )
     )
     steps = [tracker.step(frame(0.1 * k, [[10, 10]] if k == 3 else [])) for k in range(8)]
     assert sum(map(len, steps)) > 0
@@ -104,7 +126,7 @@ def test_what_never_was_probable_is_not_reported():
 
 def test_the_whole_life_decides():
     """A source that looked like an object once, and in the end does not, is reported nowhere."""
-    marks = Levels(
+    marks = ScoreLevels(
         label=0,
         calibration=Calibration(offset=np.zeros(7), slope=np.ones(7), per_metre=np.zeros(7)),
         level=[-3.0, 3.0],
@@ -113,7 +135,7 @@ def test_the_whole_life_decides():
         object=[0.0, 1.0],
         clutter=[0.9, 0.1],
     )
-    config = PMBMConfig.textbook(levels=marks, report_above=0.1)
+    config = PMBMConfig.textbook().changed({"scores": marks, "report.above": 0.1})
     shown = {}
     for name, late in (("pole", -4.0), ("car", 4.0)):
         tracker = PMBMTracker(config)
@@ -132,24 +154,22 @@ def test_a_detection_that_is_rather_anothers_does_not_decide():
     """A track that ends beside another, whose detection was probably not its own, was an object
     all the same; inspections tell that from a source that is no object."""
     _, frames = drive(4)
-    config = PMBMConfig.textbook(clutter_rate=1e-6)
-    tracker = PMBMTracker(config)
+    tracker = PMBMTracker(ALONE)
     steps, inspections = [], []
     for one in frames:
         steps.append(tracker.step(one))
         inspections.append(tracker.inspect())
     doubtful = replace(steps[-1], score=np.array([0.2]))
     told = replace(inspections[-1], existence=np.array([0.2]))
-    lives = smooth([*steps[:-1], doubtful], config, [*inspections[:-1], told])
+    lives = smooth([*steps[:-1], doubtful], ALONE, [*inspections[:-1], told])
     assert [len(one) for one in lives[5:]] == [1] * (len(steps) - 6) + [0]
-    no_object = smooth([*steps[:-1], doubtful], config, inspections)
+    no_object = smooth([*steps[:-1], doubtful], ALONE, inspections)
     assert sum(map(len, no_object)) == 0
 
 
 def test_the_life_of_more_detections_is_at_a_place():
     """A second box beside a car, there first: the car's track is the longer one in the end."""
-    config = PMBMConfig.textbook(exclusive=True, clutter_rate=1e-6)
-    tracker = PMBMTracker(replace(config, exclusive=False))
+    tracker = PMBMTracker(ALONE)
     steps = []
     for k in range(40):
         x = 5.0 + 0.4 * k
@@ -158,8 +178,8 @@ def test_the_life_of_more_detections_is_at_a_place():
     assert max(map(len, steps)) == 2
     own = steps[-1].id.tolist()
     assert steps[0].id.tolist() not in ([], own)
-    beside = smooth(steps, replace(config, exclusive=False))
-    alone = smooth(steps, config)
+    beside = smooth(steps, ALONE)
+    alone = smooth(steps, ALONE.changed({"report.exclusive": True}))
     begun = next(k for k, one in enumerate(alone) if own[0] in one.id.tolist())
     assert [one.id.tolist() for one in alone[begun:]] == [own] * (40 - begun)
     assert max(map(len, beside)) == 2
@@ -168,8 +188,12 @@ def test_the_life_of_more_detections_is_at_a_place():
 
 
 def test_a_life_ends_with_its_last_detection_and_long_gaps_stay_open():
-    config = PMBMConfig.textbook(
-        clutter_rate=1e-6, detection_probability=0.1, survival=0.9999, report_above=0.001
+    config = ALONE.changed(
+        {
+            "sensor.detection": FixedDetection(probability=0.1),
+            "survival": Survival(probability=0.9999),
+            "report.above": 0.001,
+        }
     )
     _, frames = drive(2, frames=80, gap=(*range(20, 30), *range(40, 66), *range(75, 80)))
     tracker = PMBMTracker(config)
@@ -183,7 +207,6 @@ def test_a_life_ends_with_its_last_detection_and_long_gaps_stay_open():
 
 def test_boxes_are_made_of_the_whole_life():
     """Half turns are turned back, by motion or by the majority; one size; heights averaged."""
-    config = PMBMConfig.textbook(clutter_rate=1e-6)
     _, frames = drive(3)
     rng = np.random.default_rng(0)
     course = 2.5
@@ -200,8 +223,8 @@ def test_boxes_are_made_of_the_whole_life():
                 position=one.position @ world + np.array([0, 0, rng.normal(0, 0.2)]),
             )
         )
-    tracker = PMBMTracker(config)
-    after = smooth([tracker.step(one) for one in made], config)
+    tracker = PMBMTracker(ALONE)
+    after = smooth([tracker.step(one) for one in made], ALONE)
     told = [one for one in after if len(one)]
     assert np.abs(wrap_angle(np.array([one.yaw[0] for one in told]) - course)).max() < 0.15
     assert np.std([one.position[0, 2] for one in told]) < 0.1

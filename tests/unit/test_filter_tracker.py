@@ -13,7 +13,17 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 
 from pmbm.errors import InputError
-from pmbm.filter import PMBMConfig, PMBMTracker
+from pmbm.filter import (
+    BroadBirth,
+    EveryScore,
+    FixedDetection,
+    PMBMConfig,
+    PMBMTracker,
+    Reduction,
+    Report,
+    Sensor,
+    Survival,
+)
 from pmbm.geometry import wrap_angle
 from pmbm.types import Detections, Label, Site, Tracks
 
@@ -70,13 +80,14 @@ def test_a_lone_object_is_a_kalman_filter():
     """One target, no clutter, certain detection: filterpy's numbers, frame by frame, over
     irregular intervals and an empty stretch."""
     config = PMBMConfig(
-        detection_probability=1.0,
-        clutter_rate=0.0,
-        birth_rate=0.0,
-        survival=1.0,
-        birth_components=1,
-        initial_objects=0.7,
-        measurement_sd=0.3,
+        survival=Survival(probability=1.0),
+        birth=BroadBirth(rate=0.0, initial=0.7, components=1),
+    ).changed(
+        {
+            "sensor.detection.base.probability": 1.0,
+            "sensor.clutter_rate": 0.0,
+            "sensor.position_sd": 0.3,
+        }
     )
     tracker = PMBMTracker(config)
     rng = np.random.default_rng(4)
@@ -161,7 +172,7 @@ def test_an_empty_road_and_one_that_empties_settle_at_the_birth_level():
 
 
 def test_ids_are_never_used_again():
-    tracker = PMBMTracker(PMBMConfig(scores="everywhere"))
+    tracker = PMBMTracker(PMBMConfig(scores=EveryScore()))
     seen: set[int] = set()
     for k in range(60):
         born = tracker.step(frame(k * 1.0, [[20.0 * (k % 4), 7.0 * (k % 3)]])).id.tolist()
@@ -203,7 +214,7 @@ def test_bad_time_is_refused_and_leaves_the_tracker_as_it_was():
 
 
 def test_two_looks_at_one_moment():
-    tracker = PMBMTracker(PMBMConfig(measurement_sd=0.3))
+    tracker = PMBMTracker(PMBMConfig(sensor=Sensor(position_sd=0.3)))
     first = tracker.step(frame(1.0, [[5.0, 0.0]]))
     second = tracker.step(frame(1.0, [[5.1, 0.0]]))
     assert len(second) == 1
@@ -276,18 +287,19 @@ def test_moving_and_turning_the_world_moves_and_turns_the_tracks(turn):
 
 def test_clustering_changes_the_bookkeeping_alone():
     """Where no cap binds; the textbook form keeps everything in one table."""
-    config = {
-        "max_hypotheses": 20_000,
-        "prune_hypothesis": 1e-9,
-        "recycle_below": 0.0,
-        "merge_undetected": 0.0,
-        "prune_undetected": 0.0,
-        "gate": 30.0,
-        "split_below": 0.0,
-    }
+    config = PMBMConfig(birth=BroadBirth(merge_below=0.0)).changed(
+        {
+            "reduction.max_hypotheses": 20_000,
+            "reduction.prune_hypothesis": 1e-9,
+            "reduction.recycle_below": 0.0,
+            "reduction.prune_undetected": 0.0,
+            "reduction.gate": 30.0,
+            "reduction.split_below": 0.0,
+        }
+    )
     frames = drive(10, frames=5, objects=2, clutter=0.3)
-    a = PMBMTracker(PMBMConfig(clustering=True, **config))
-    b = PMBMTracker(PMBMConfig(clustering=False, **config))
+    a = PMBMTracker(config.changed({"reduction.clustering": True}))
+    b = PMBMTracker(config.changed({"reduction.clustering": False}))
     for one in frames:
         same(a.step(one), b.step(one), rtol=1e-6, atol=1e-7)
     assert a.density.hypotheses.clusters > 1
@@ -297,27 +309,31 @@ def test_clustering_changes_the_bookkeeping_alone():
 @pytest.mark.parametrize(
     "changes",
     [
-        {"detection_probability": 0.0},
-        {"detection_probability": 1.0},
-        {"clutter_rate": 0.0},
-        {"clutter_rate": 0.0, "detection_probability": 1.0, "initial_objects": 0.0},
-        {"birth_rate": 0.0, "initial_objects": 0.0},
-        {"survival": 0.0},
-        {"survival": 1.0},
-        {"spectral_density": 0.0},
-        {"recycle_below": 1.0},
-        {"recycle_below": 0.0},
-        {"max_hypotheses": 1},
-        {"max_tracks": 1, "max_undetected": 1},
-        {"clustering": False, "max_hypotheses": 10},
-        {"measurement_sd": 1e-6},
-        {"measurement_sd": 1e3},
-        {"clutter_rate": 1e300},
-        {"birth_rate": 1e-300},
+        {"sensor.detection.base.probability": 0.0},
+        {"sensor.detection.base.probability": 1.0},
+        {"sensor.clutter_rate": 0.0},
+        {
+            "sensor.clutter_rate": 0.0,
+            "sensor.detection.base.probability": 1.0,
+            "birth.initial": 0.0,
+        },
+        {"birth.rate": 0.0, "birth.initial": 0.0},
+        {"survival.probability": 0.0},
+        {"survival.probability": 1.0},
+        {"motion.acceleration_density": 0.0},
+        {"reduction.recycle_below": 1.0},
+        {"reduction.recycle_below": 0.0},
+        {"reduction.max_hypotheses": 1},
+        {"reduction.max_tracks": 1, "reduction.max_undetected": 1},
+        {"reduction.clustering": False, "reduction.max_hypotheses": 10},
+        {"sensor.position_sd": 1e-6},
+        {"sensor.position_sd": 1e3},
+        {"sensor.clutter_rate": 1e300},
+        {"birth.rate": 1e-300},
     ],
 )
 def test_extreme_beliefs_give_finite_results(changes):
-    tracker = PMBMTracker(PMBMConfig(**changes))
+    tracker = PMBMTracker(PMBMConfig().changed(changes))
     for k, one in enumerate(drive(11, frames=15)):
         score = np.resize([0.0, 1.0, 0.5], len(one))
         one = frame(one.time if k < 10 else one.time + 10.0, one.position[:, :2], score=score)
@@ -351,7 +367,7 @@ def test_a_gap_and_uneven_frames(gap):
 
 def test_ten_thousand_detections_in_one_frame():
     rng = np.random.default_rng(0)
-    tracker = PMBMTracker(PMBMConfig(clutter_rate=50.0))
+    tracker = PMBMTracker(PMBMConfig(sensor=Sensor(clutter_rate=50.0)))
     tracker.step(frame(0.0, rng.uniform(-70, 70, (20, 2))))
     tracemalloc.start()
     start = time.process_time()
@@ -364,24 +380,23 @@ def test_ten_thousand_detections_in_one_frame():
 
 
 def test_impossible_configurations_are_refused_by_name():
-    for bad in (
-        {"detection_probability": 1.3},
-        {"clutter_rate": -1.0},
-        {"survival": math.nan},
-        {"gate": 0.0},
-        {"max_hypotheses": 0},
-        {"max_hypotheses": 2.5},
-        {"clustering": 1},
-        {"measurement_sd": "small"},
-        {"birth_speed_sd": math.inf},
-        {"recycle_below": True},
-        {"prune_hypothesis": 1.0},
-        {"history": -1},
+    for part, field, bad in (
+        (FixedDetection, "probability", 1.3),
+        (Sensor, "clutter_rate", -1.0),
+        (Survival, "probability", math.nan),
+        (Reduction, "gate", 0.0),
+        (Reduction, "max_hypotheses", 0),
+        (Reduction, "max_hypotheses", 2.5),
+        (Reduction, "clustering", 1),
+        (Sensor, "position_sd", "small"),
+        (BroadBirth, "speed_sd", math.inf),
+        (Reduction, "recycle_below", True),
+        (Reduction, "prune_hypothesis", 1.0),
+        (Report, "history", -1),
     ):
-        with pytest.raises(InputError) as caught:
-            PMBMConfig(**bad)
-        assert next(iter(bad)) in str(caught.value)
-    assert PMBMConfig(clutter_rate=2).clutter_rate == 2
+        with pytest.raises(InputError, match=field):
+            part(**{field: bad})
+    assert Sensor(clutter_rate=2).clutter_rate == 2
 
 
 def test_a_track_out_of_view_is_kept_in_mind_and_not_reported():

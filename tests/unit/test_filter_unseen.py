@@ -10,6 +10,7 @@ from unseen_world import (
     SHADOW,
     SITE,
     WALL,
+    births,
     hidden_share,
     model,
     reference,
@@ -17,11 +18,12 @@ from unseen_world import (
 )
 
 from pmbm import Detections, InputError, Site
-from pmbm.filter import PMBMConfig, PMBMTracker
+from pmbm.filter import BirthMap, BroadBirth, PMBMConfig, PMBMTracker
 from pmbm.filter.density import Density, Mixture
-from pmbm.filter.models import View
-from pmbm.filter.occlusion import Shadows
-from pmbm.filter.unseen import MOST, WIDEST, Ground, _longest, beyond
+from pmbm.filter.models.occlusion import Shadows
+from pmbm.filter.models.undetected_map import WIDEST, MapCells, beyond
+from pmbm.filter.models.view import View
+from pmbm.filter.tracker import observe
 from pmbm.geometry import points_in_polygon
 from pmbm.tracking import run
 from sim import load_scenario
@@ -31,12 +33,6 @@ LIT = np.array([[-25, -25], [-5, -25], [-5, 25], [-25, 25]], dtype=float)
 
 def at(x=0.0, y=0.0, yaw=0.0, site=SITE):
     return View.of(site, np.array([x, y, yaw]))
-
-
-def births(config, site=SITE):
-    """Of the first frame, and of each later one, as the tracker has them."""
-    tracker = PMBMTracker(config, site)
-    return tracker._first(at(site=site)), tracker._births(at(site=site), DT)
 
 
 def test_the_count_in_a_shadow_is_that_of_particles():
@@ -56,13 +52,14 @@ def test_the_count_in_a_shadow_is_that_of_particles():
 @pytest.mark.parametrize("detection", [0.9, 0.6, 0.3])
 def test_without_the_map_the_count_in_view_is_that_of_particles(detection):
     """Births of seven broad Gaussians that reach over the edge of the view."""
-    config = model(undetected_detail=None, detection_probability=detection)
+    birth = BroadBirth(rate=6.0, initial=20.0)
+    config = model(**{"birth": birth, "sensor.detection.probability": detection})
     site = Site(max_range=52.0)
     frames, turn = 16, np.linspace(0, 2 * np.pi, 128, endpoint=False)
     tracker, reports = tracked(config, frames, site)
 
     def sees(config, x, y):
-        return config.detection_probability * (np.hypot(x, y) <= site.max_range)
+        return config.sensor.detection.probability * (np.hypot(x, y) <= site.max_range)
 
     state, weight = reference(
         config,
@@ -88,20 +85,21 @@ def test_what_is_seen_is_swept_out_and_what_is_hidden_stays():
     first, last = reports[0].undetected, reports[-1].undetected
     level = born.public().expected_count(LIT)
     # In plain view only what was born or has come in since the last look is left.
-    assert last.expected_count(LIT) < 1.5 * level * (1 - config.detection_probability) * 2
-    assert last.expected_count(LIT) > 0.5 * level * (1 - config.detection_probability)
+    missed = 1 - config.sensor.detection.probability
+    assert last.expected_count(LIT) < 1.5 * level * missed * 2
+    assert last.expected_count(LIT) > 0.5 * level * missed
     assert last.expected_count(SHADOW) > 0.4 * first.expected_count(SHADOW)
     dark, bright = last.intensity([[25.0, 0.0], [-25.0, 0.0]])
     assert dark > 50 * bright
-    _, constant = tracked(model(occlusion=False), 30)
+    _, constant = tracked(model(**{"sensor.occlusion": False}), 30)
     assert constant[-1].undetected.expected_count(SHADOW) < 0.1 * last.expected_count(SHADOW)
 
 
 def test_births_are_flat_inside_and_denser_at_the_edge():
     site = Site(max_range=60.0)
-    config = model(birth_rate=2.0)
+    config = model(**{"birth.rate": 2.0})
     initial, born = births(config, site)
-    assert np.exp(initial.log_weight).sum() == pytest.approx(config.initial_objects)
+    assert np.exp(initial.log_weight).sum() == pytest.approx(config.birth.initial)
     assert np.exp(born.log_weight).sum() == pytest.approx(2.0 * DT, rel=0.01)
     grid = np.stack(np.meshgrid(*2 * [np.linspace(-30, 30, 61)]), axis=-1).reshape(-1, 2)
     for mixture in (initial, born):
@@ -109,7 +107,7 @@ def test_births_are_flat_inside_and_denser_at_the_edge():
         assert flat.max() / flat.min() < 1.08
     middle, edge = born.public().intensity([[0.0, 0.0], [56.5, 0.0]])
     assert edge > 3 * middle
-    assert np.sqrt(_longest(born.cov)[0]).max() <= WIDEST
+    assert np.sqrt(np.linalg.eigvalsh(born.cov[:, :2, :2])).max() <= WIDEST
 
 
 def test_nothing_is_born_off_the_drivable_area():
@@ -127,25 +125,25 @@ def test_nothing_is_born_off_the_drivable_area():
 def test_ground_that_comes_into_view_holds_what_it_held_at_first():
     """The density of a map made later is that of the first, where neither was looked at before."""
     spacing, site = 3.5, Site(max_range=40.0)
-    here = Ground.of(site, at(site=site), spacing)
-    there = Ground.of(site, at(x=7.0, site=site), spacing, here)
+    here = MapCells.of(site, at(site=site), spacing)
+    there = MapCells.of(site, at(x=7.0, site=site), spacing, here)
     new = there.newly_covered(here)
     assert here.newly_covered(None).sum() == pytest.approx(1)
     assert new.sum() == pytest.approx(there.share[new > 0].sum() / there.share.sum())
     assert 0.05 < new.sum() < 0.2
     assert (there.centre[new > 0, 0] > 0).all()
     assert (there.newly_covered(there) == 0).all()
-    fresh = Ground.of(site, at(x=7.0, site=site), spacing)
+    fresh = MapCells.of(site, at(x=7.0, site=site), spacing)
     np.testing.assert_array_equal(fresh.centre, there.centre)
 
 
 def test_cells_keep_their_place_in_the_world_and_their_drivable_part():
     road = np.array([[-200, -5], [200, -5], [200, 6.3], [-200, 6.3]], dtype=float)
     site = Site(max_range=40.0, drivable_area=(road,))
-    known = Ground.of(site, at(site=site), 3.5)
+    known = MapCells.of(site, at(site=site), 3.5)
     for x, yaw in [(0.9, 0.1), (8.0, -1.0), (300.0, 2.0)]:
-        fresh = Ground.of(site, at(x, yaw=yaw, site=site), 3.5)
-        known = Ground.of(site, at(x, yaw=yaw, site=site), 3.5, known)
+        fresh = MapCells.of(site, at(x, yaw=yaw, site=site), 3.5)
+        known = MapCells.of(site, at(x, yaw=yaw, site=site), 3.5, known)
         for name in ("code", "centre", "share", "edge"):
             np.testing.assert_array_equal(getattr(fresh, name), getattr(known, name))
     assert np.diff(known.code).min() > 0
@@ -192,8 +190,8 @@ def test_a_miss_in_the_open_changes_no_shape():
 def test_an_object_that_shows_at_the_edge_of_the_shadow_is_believed_sooner():
     """What was preserved behind the wall makes its first detection believable."""
     existence = []
-    for detail in (None, 3.5):
-        tracker, _ = tracked(model(undetected_detail=detail, clutter_rate=10.0), 20)
+    for birth in (BroadBirth(rate=6.0, initial=20.0), BirthMap(rate=6.0, initial=20.0)):
+        tracker, _ = tracked(model(birth=birth, **{"sensor.clutter_rate": 10.0}), 20)
         seen = Detections(
             time=2.0,
             position=[[20.0, 14.0, 0.8]],
@@ -211,7 +209,7 @@ def test_an_object_that_shows_at_the_edge_of_the_shadow_is_believed_sooner():
 def test_components_stay_few_and_narrow_over_a_long_drive():
     """A truck scene of 300 frames, with the sensor moving and tracks coming and going."""
     recording = load_scenario("truck_occlusion").record(0, 0)
-    tracker = PMBMTracker(PMBMConfig(undetected_detail=3.5), recording.site)
+    tracker = PMBMTracker(PMBMConfig(birth=BirthMap()), recording.site)
     sizes, mass = [], []
     for report in run(tracker, recording):
         sizes.append(len(report.undetected))
@@ -223,37 +221,41 @@ def test_components_stay_few_and_narrow_over_a_long_drive():
         time = recording.detections[-1].time + DT * (step + 1)
         sizes.append(len(tracker.step(Detections.empty(time, pose)).undetected))
     # A forgotten track that may be anywhere is spread over the whole map for a moment.
-    assert max(sizes) < MOST
+    assert max(sizes) < BirthMap().max_components == 4000
     assert np.quantile(sizes, 0.95) < 1200
     assert np.mean(sizes[250:]) < 1.2 * np.mean(sizes[:200])
     assert max(mass) < 2
 
 
 def test_components_stay_bounded_without_a_map():
-    tracker, reports = tracked(PMBMConfig(undetected_detail=3.5), 12, Site(max_range=80.0))
-    assert max(len(report.undetected) for report in reports) <= MOST
-    assert tracker.reduced.undetected_dropped >= 0
+    tracker, reports = tracked(PMBMConfig(birth=BirthMap()), 12, Site(max_range=80.0))
+    assert max(len(report.undetected) for report in reports) <= BirthMap().max_components
+    assert tracker.trace.removed.undetected_dropped >= 0
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 0.9, 4.1, "3.5", True, np.nan])
 def test_a_spacing_that_is_none_is_refused(value):
-    with pytest.raises(InputError, match="undetected_detail"):
-        PMBMConfig(undetected_detail=value)
+    with pytest.raises(InputError, match="spacing"):
+        BirthMap(spacing=value)
 
 
 def test_without_the_option_nothing_is_touched():
     """Neither what is hidden nor what is settled: the very arrays go through."""
     tracker, reports = tracked(PMBMConfig(), 3)
-    assert len(reports[-1].undetected) == PMBMConfig().birth_components
-    density = tracker.density
-    assert tracker._settled(density, at())[0] is density
-    sensor = tracker._sensor(at(), density)
+    assert len(reports[-1].undetected) == PMBMConfig().birth.components
+    config, density = tracker.config, tracker.density
+    reduced, dropped = config.birth.reduced(
+        density.undetected, at(), config.survival, tracker.state.births, 1e-5
+    )
+    assert reduced is density.undetected
+    assert dropped == 0
+    sensor = observe(config, tracker.site, at(), density)
     mean, cov = density.undetected.mean, density.undetected.cov
     if_missed, if_seen, shape = sensor.of_undetected(mean, cov)
     assert if_seen is if_missed
     assert shape[0] is mean
     assert shape[1] is cov
-    np.testing.assert_array_equal(if_missed, np.full(len(mean), sensor.usual_detection))
+    np.testing.assert_array_equal(if_missed, np.full(len(mean), sensor.detection.of_undetected()))
 
 
 CELL = 0.5
@@ -263,12 +265,12 @@ CELL = 0.5
 def test_the_count_in_a_shadow_is_that_of_a_grid(speed):
     """Undetected objects that stand still, cell by cell of half a metre: born, dying, looked at;
     behind a wall that stands and behind one that moves, which sweeps ground out and hides other."""
-    config = model(birth_speed_sd=0.05, spectral_density=0.01)
+    config = model(**{"birth.speed_sd": 0.05, "motion.acceleration_density": 0.01})
     tracker = PMBMTracker(config, SITE)
     initial, born = births(config)
     side = np.arange(8.0, 44.0, CELL) + CELL / 2, np.arange(-44.0, 44.0, CELL) + CELL / 2
     grid = np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2)
-    area, survives = CELL**2, config.survival ** (DT / config.survival_interval)
+    area, survives = CELL**2, config.survival.over(DT)
     each_frame = born.public().intensity(grid) * area
     in_view = np.hypot(*grid.T) <= SITE.max_range
     count = initial.public().intensity(grid) * area / survives - each_frame / survives
@@ -276,7 +278,9 @@ def test_the_count_in_a_shadow_is_that_of_a_grid(speed):
         wall = WALL + np.array([0.0, speed * DT * frame])
         tracker.site = replace(SITE, occluders=(wall,))
         report = tracker.step(Detections.empty(time=DT * frame))
-        seen = config.detection_probability * in_view * (1 - hidden_share(*grid.T, wall=wall))
+        seen = (
+            config.sensor.detection.probability * in_view * (1 - hidden_share(*grid.T, wall=wall))
+        )
         count = (survives * count + each_frame) * (1 - seen)
     low, high = wall[:, 1].min() / 12, wall[:, 1].max() / 12
     shadow = np.array([[14, 14 * low], [30, 30 * low], [30, 30 * high], [14, 14 * high]])

@@ -58,11 +58,11 @@ def fit(root, *options):
 def test_the_file_is_one_to_track_with(folder):
     assert fit(folder, "--sequences", "0000") == 0
     made = tomllib.loads((folder / "marks.toml").read_text())["Car"]
-    level, share = np.array(made["levels"]["level"]), np.array(made["levels"]["object"])
+    level, share = np.array(made["scores"]["level"]), np.array(made["scores"]["object"])
     assert (np.diff(level) > 0).all()
     assert share[0] < 0.2 < 0.8 < share[-1]
-    assert sum(made["levels"]["birth"]) == pytest.approx(1)
-    assert 0.8 < made["detection_probability"] <= 1
+    assert sum(made["scores"]["birth"]) == pytest.approx(1)
+    assert 0.8 < made["sensor"]["detection"]["base"]["probability"] <= 1
     code = pmbm(
         *("track", "kitti", "--root", folder, "--detections", folder / "dets_{class}"),
         *("--poses", folder / "pose", "--classes", "Car", "--sequences", "0001"),

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-SOURCES = HERE.parents[1] / "pmbm"
+SOURCES = HERE.parents[1] / "pmbm" / "native"
 
 
 @pytest.mark.slow

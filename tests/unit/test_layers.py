@@ -10,18 +10,11 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 LAYERS = [
-    {
-        "pmbm.errors",
-        "pmbm.durable",
-        "pmbm.intervals",
-        "pmbm.labels",
-        "pmbm.door",
-        "pmbm.types",
-        "pmbm.geometry",
-        "pmbm.score",
-    }
-    | {"pmbm.provenance", "pmbm.compiled", "pmbm.seeding"},
-    {"pmbm.assignment", "pmbm.filter", "pmbm.baselines", "pmbm.metrics", "pmbm.datasets"},
+    {"pmbm.errors", "pmbm.durable", "pmbm.labels", "pmbm.validation", "pmbm.types"}
+    | {"pmbm.geometry", "pmbm.score", "pmbm.provenance", "pmbm.kernels", "pmbm.seeding"}
+    | {"pmbm.intervals"},
+    {"pmbm.assignment", "pmbm.filter", "pmbm.baselines", "pmbm.metrics", "pmbm.datasets"}
+    | {"pmbm.fitting"},
     {"pmbm.named_modules", "pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"},
     {"sim"},
     {"reports"},
@@ -33,6 +26,7 @@ RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 SIBLINGS = {
     "pmbm.assignment": set(),
     "pmbm.filter": {"pmbm.assignment"},
+    "pmbm.fitting": {"pmbm.filter"},
     "pmbm.baselines": {"pmbm.assignment"},
     "pmbm.metrics": set(),
     "pmbm.datasets": set(),

@@ -19,7 +19,7 @@ def test_reliability_by_hand():
     result = reliability([0.05, 0.15, 0.15, 1.0], [False, True, False, True], bins=10)
     assert result.count.tolist() == [1, 2, 0, 0, 0, 0, 0, 0, 0, 1]
     assert result.hits.tolist() == [0, 1, 0, 0, 0, 0, 0, 0, 0, 1]
-    assert result.brier == pytest.approx((0.05**2 + 0.85**2 + 0.15**2) / 4)
+    assert result.square_sum == pytest.approx(0.05**2 + 0.85**2 + 0.15**2)
     assert result.expected_error == pytest.approx((0.05 + 2 * (0.5 - 0.15)) / 4)
     said, real = result.curve
     np.testing.assert_allclose(said, [0.05, 0.15, 1.0])
@@ -31,7 +31,7 @@ def test_reliability_of_several_runs_adds_up():
     p, hit = rng.random(200), rng.random(200) < 0.5
     whole = reliability(p, hit)
     parts = reliability(p[:50], hit[:50]) + reliability(p[50:], hit[50:])
-    assert parts.brier == pytest.approx(whole.brier)
+    assert parts.square_sum == pytest.approx(whole.square_sum)
     assert parts.expected_error == pytest.approx(whole.expected_error)
 
 
@@ -42,12 +42,12 @@ def test_honest_probabilities_are_calibrated_and_boasts_are_not():
     # The error of a bin of n reports is about sqrt(p (1 - p) / n), at most 0.012 here.
     assert reliability(p, hit).expected_error < 0.02
     assert reliability(np.sqrt(p), hit).expected_error > 0.1
-    assert reliability(p, hit).brier == pytest.approx(1 / 6, abs=0.01)
+    assert reliability(p, hit).square_sum / len(p) == pytest.approx(1 / 6, abs=0.01)
 
 
 def test_nothing_reported_has_no_calibration():
     nothing = reliability([], [])
-    assert nothing.brier is None
+    assert nothing.count.sum() == nothing.square_sum == 0
     assert nothing.expected_error is None
 
 

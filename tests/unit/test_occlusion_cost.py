@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pmbm.filter import PMBMTracker
-from pmbm.filter.models import Sensor
-from pmbm.filter.occlusion import Shadows
+from pmbm.filter.models.occlusion import Shadows
+from pmbm.filter.models.sensor import ObservationModel
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmark"))
 from world import World
@@ -36,7 +36,11 @@ def test_occlusion_takes_a_small_share_of_a_step(objects, promised, monkeypatch,
     world = World(objects, spacing=15.0, seed=1)
     with_it = PMBMTracker(world.config(occlusion=True), world.site)
     monkeypatch.setattr(Shadows, "of", staticmethod(timed(Shadows.of)))
-    monkeypatch.setattr(Sensor, "_hidden", staticmethod(timed(Sensor._hidden)))
+    monkeypatch.setattr(
+        ObservationModel,
+        "of_hidden_tracks",
+        staticmethod(timed(ObservationModel.of_hidden_tracks)),
+    )
     shares = []
     for number, (_, detections) in enumerate(world.frames(60)):
         spent[0], start = 0.0, time.thread_time()

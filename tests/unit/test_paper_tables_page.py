@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pmbm.cli import _COMMANDS, main
+from pmbm.cli import COMMANDS, main
 from pmbm.datasets import open_dataset
 
 ROOT = Path(__file__).parents[2]
@@ -28,7 +28,7 @@ def test_every_command_is_one_that_there_is(line):
         runpy.run_path(str(ROOT / name))["command_line"]().parse_intermixed_args(words)
         return
     assert program == "pmbm"
-    assert name in _COMMANDS
+    assert name in COMMANDS
     command = importlib.import_module(f"pmbm.cli.{name}").command
     # Parses as on the command line: unknown options, wrong values and missing ones raise.
     command.make_context(name, words)

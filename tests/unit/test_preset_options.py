@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
 
 from pmbm.cli.sources import resolve
-from pmbm.filter import PMBMConfig, Visibility
+from pmbm.filter import PMBMConfig
 from pmbm.study import Study
 from pmbm.tracking import make_tracker
 from pmbm.types import Site
@@ -16,17 +17,16 @@ from pmbm.types import Site
 ROOT = Path(__file__).parents[2]
 STUDY = ROOT / "studies" / "preset_options.toml"
 PAGE = ROOT / "docs" / "presets.md"
-NEUTRAL = Visibility(unseen=1.0, stay_seen=0.97, stay_unseen=0.8)
 OPTIONS = {
     "scores-first": {"scores"},
-    "rising": {"detection_from_scores"},
-    "falling": {"detection_from_scores"},
-    "miss-scaled": {"miss_rule"},
-    "occlusion": {"occlusion"},
+    "rising": {"sensor.detection"},
+    "falling": {"sensor.detection"},
+    "miss-scaled": {"sensor.miss_rule"},
+    "occlusion": {"sensor.occlusion"},
     "scores-everywhere": {"scores"},
     "scores-lasting": {"scores"},
-    "visibility": {"visibility", "detection_probability"},
-    "exclusive": {"exclusive"},
+    "visibility": {"sensor.detection"},
+    "exclusive": {"report.exclusive"},
 }
 """Tracker of the study -> what tells it from the textbook."""
 
@@ -40,28 +40,36 @@ def config_of(tracker):
     return make_tracker(tracker.bound(), Site()).config
 
 
-def test_each_is_the_textbook_but_for_its_option(trackers):
-    textbook = PMBMConfig.textbook(visibility=NEUTRAL)
-    for name, options in OPTIONS.items():
-        config = config_of(trackers[name])
-        differ = {
-            field.name
-            for field in dataclasses.fields(PMBMConfig)
-            if getattr(config, field.name) != getattr(textbook, field.name)
+def differences(one, other, path=""):
+    """Dotted names of what two configurations differ in; a part of another kind is one name."""
+    if one == other:
+        return set()
+    if not path or (dataclasses.is_dataclass(one) and type(one) is type(other)):
+        return {
+            name
+            for field in dataclasses.fields(one)
+            for name in differences(
+                getattr(one, field.name), getattr(other, field.name), f"{path}.{field.name}"
+            )
         }
-        assert differ == options, name
+    return {path.removeprefix(".")}
+
+
+def test_each_is_the_textbook_but_for_its_option(trackers):
+    for name, options in OPTIONS.items():
+        assert differences(config_of(trackers[name]), PMBMConfig.textbook()) == options, name
 
 
 def test_the_options_together_are_the_presets(trackers):
     """What the single options are set to is what the presets set them to."""
     paper, default = PMBMConfig.paper(), PMBMConfig()
     assert config_of(trackers["scores-first"]).scores == paper.scores
-    assert config_of(trackers["falling"]).detection_from_scores == paper.detection_from_scores
-    assert config_of(trackers["miss-scaled"]).miss_rule == paper.miss_rule
+    assert config_of(trackers["falling"]).sensor.detection == paper.sensor.detection
+    assert config_of(trackers["miss-scaled"]).sensor.miss_rule == paper.sensor.miss_rule
     for name in ("occlusion", "scores-lasting", "visibility", "exclusive"):
         config = config_of(trackers[name])
         for option in OPTIONS[name]:
-            assert getattr(config, option) == getattr(default, option)
+            assert attrgetter(option)(config) == attrgetter(option)(default)
     assert set(trackers) == {*OPTIONS, "pmbm-textbook", "pmbm-paper", "pmbm"}
 
 

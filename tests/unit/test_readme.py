@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pmbm.cli import _COMMANDS
+from pmbm.cli import COMMANDS
 from pmbm.labels import Label
 from pmbm.metrics import combine
 
@@ -29,7 +29,7 @@ def test_the_examples_run_one_after_another(capsys):
 
 def test_every_command_that_it_names_exists():
     named = set(re.findall(r"(?:^|`)pmbm ([a-z-]+)", TEXT, re.MULTILINE))
-    assert {"run", "study", "gate", "track", "picture"} <= named <= set(_COMMANDS)
+    assert {"run", "study", "gate", "track", "picture"} <= named <= set(COMMANDS)
 
 
 @pytest.mark.parametrize("target", sorted(set(re.findall(r"\]\(([^)#]+)\)", TEXT))))

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from pmbm.cli import _COMMANDS
+from pmbm.cli import COMMANDS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reports.md").read_text(encoding="utf-8")
 
@@ -22,7 +22,7 @@ def test_the_commands_and_options_exist():
 
     for line in re.findall(r"`pmbm ([^`]+)`", PAGE):
         name, *words = line.split()
-        assert name in _COMMANDS
+        assert name in COMMANDS
         command = importlib.import_module(f"pmbm.cli.{name}").command
         known = {option for parameter in command.params for option in parameter.opts}
         assert {word for word in words if word.startswith("--")} <= known

@@ -291,7 +291,7 @@ class TestClairvoyant:
         assert all((t.score == 1).all() for t in tracks)
 
     def test_is_the_kalman_filter_written_out(self):
-        config = ClairvoyantConfig(spectral_density=3.0, measurement_sd=0.5, birth_velocity_sd=4.0)
+        config = ClairvoyantConfig(acceleration_density=3.0, position_sd=0.5, birth_velocity_sd=4.0)
         xs = [0.0, 0.9, 2.2, 2.8]
         truths = [truth(k, [(1, x, 0, 0)]) for k, x in enumerate(xs)]
         deliveries = [frame(k, (x,)) for k, x in enumerate(xs)]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mark_builders import fit_logistic
 
 from pmbm.errors import InputError
 from pmbm.score import ScoreModel
@@ -18,7 +19,7 @@ def sample(seed, n=20_000):
     return x, rng.random(n) < 1 / (1 + np.exp(1 - 3 * x))
 
 
-@pytest.mark.parametrize("fit", [ScoreModel.fit_logistic, ScoreModel.fit_isotonic])
+@pytest.mark.parametrize("fit", [fit_logistic, ScoreModel.fit_isotonic])
 def test_a_fit_finds_the_odds(fit):
     x, true = sample(0)
     model = fit(x, true, scale="raw_score")
@@ -28,7 +29,7 @@ def test_a_fit_finds_the_odds(fit):
     assert model.scale == "raw_score"
 
 
-@pytest.mark.parametrize("fit", [ScoreModel.fit_logistic, ScoreModel.fit_isotonic])
+@pytest.mark.parametrize("fit", [fit_logistic, ScoreModel.fit_isotonic])
 def test_likelihood_ratios_follow_bayes(fit):
     """Posterior odds = ratio times prior odds; the ratio averages to one over clutter."""
     x, true = sample(1)
@@ -43,7 +44,7 @@ def test_likelihood_ratios_follow_bayes(fit):
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=60))
 def test_any_sample_gives_a_finite_rising_model(pairs):
     score, true = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
-    for fit in (ScoreModel.fit_logistic, ScoreModel.fit_isotonic):
+    for fit in (fit_logistic, ScoreModel.fit_isotonic):
         model = fit(score, true)
         q = model.probability(np.linspace(0, 1, 11))
         assert ((q > 0) & (q < 1)).all()
@@ -54,7 +55,7 @@ def test_any_sample_gives_a_finite_rising_model(pairs):
 
 def test_perfectly_separated_scores_stay_finite():
     score = np.linspace(0, 1, 40)
-    model = ScoreModel.fit_logistic(score, score > 0.5)
+    model = fit_logistic(score, score > 0.5)
     assert model.probability([0.0])[0] < 0.05
     assert model.probability([1.0])[0] > 0.95
 
@@ -104,6 +105,6 @@ def test_a_missing_file_and_a_bad_sample_are_refused(tmp_path):
     with pytest.raises(InputError, match="read"):
         ScoreModel.load(tmp_path / "none.toml")
     with pytest.raises(InputError, match="score"):
-        ScoreModel.fit_logistic([], [])
+        ScoreModel.fit_isotonic([], [])
     with pytest.raises(InputError, match="true"):
         ScoreModel.fit_isotonic([0.1, 0.2], [0, 2])

@@ -96,7 +96,7 @@ def test_a_class_has_its_own_parameters(folder):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("min_hitz = 2", "no parameter 'min_hitz'.*config.toml.*did you mean 'min_hits'"),
+        ("min_hitz = 2", "has no 'min_hitz'.*config.toml.*did you mean 'min_hits'"),
         ("[Car]\nmin_score = 1.3", "min_score.*at most 1, got 1.3"),
         ("Car = 3", "not a table.*config.toml, field Car"),
         ("= 3", "not valid TOML.*config.toml"),
@@ -142,7 +142,7 @@ def test_batch_fills_what_online_had_not_reported_yet(folder):
             lines = path.read_text().splitlines()
             path.write_text("\n".join(lines[:5] + lines[6:]) + "\n")
     config = folder / "config.toml"
-    config.write_text("clutter_rate = 40\nbirth_rate = 0.2\ninitial_objects = 0.2\n")
+    config.write_text("[sensor]\nclutter_rate = 40\n[birth]\nrate = 0.2\ninitial = 0.2\n")
     frames = {}
     for mode in ("online", "batch"):
         files = track(folder, "--config", config, "--mode", mode, out=mode)
@@ -166,12 +166,14 @@ def test_only_trackers_that_can_look_back_do(folder, capsys):
 
 def test_parameters_of_parameters(folder, capsys):
     config = folder / "config.toml"
-    config.write_text("[Car.visibility]\nunseen = 0.2\nstay_sen = 0.9\n")
+    config.write_text("[Car.sensor.detection]\nundetectable = 0.2\nstay_detectabel = 0.9\n")
     found = fails(folder, capsys, "--config", config)
-    assert "visibility.stay_sen" in found
-    assert "did you mean 'stay_seen'" in found
-    config.write_text("[Car.visibility]\nunseen = 0.2\n")
-    assert "missing parameter" in fails(folder, capsys, "--config", config)
+    assert "sensor.detection.stay_detectabel" in found
+    assert "did you mean 'stay_detectable'" in found
+    config.write_text('[Car.scores]\nkind = "levels"\nscatter = 0.2\n')
+    found = fails(folder, capsys, "--config", config)
+    assert "missing parameter" in found
+    assert "scores.label" in found
 
 
 PRESETS = sorted((Path(__file__).parents[2] / "pmbm" / "datasets" / "presets").glob("*.toml"))

@@ -16,11 +16,11 @@ from pmbm.cli import main
 from pmbm.cli.fitting import fitted_tracker
 from pmbm.cli.sources import resolve
 from pmbm.cli.track import class_trackers
-from pmbm.cli.tune import _present
+from pmbm.cli.tune import present_values
 from pmbm.cli.tuning import Simulated
 from pmbm.datasets import open_dataset
 from pmbm.errors import InputError
-from pmbm.filter import PMBMConfig
+from pmbm.filter import ObjectClasses, PMBMConfig, ScoreLevels
 from pmbm.score import ScoreModel
 from pmbm.study import ConfiguredTracker, run_trials, summarise
 from pmbm.study.file import load_study
@@ -136,7 +136,7 @@ def test_what_is_kept_for_reporting_is_refused():
 @pytest.mark.parametrize("name", SPACES)
 def test_a_shipped_space_holds_the_shipped_defaults(name):
     space = SPACES[name]
-    present = _present(ConfiguredTracker(name), space)
+    present = present_values(ConfiguredTracker(name), space)
     assert all(present[parameter] in place for parameter, place in space.items())
     for bound in ("low", "high"):
         ends = {parameter: getattr(place, bound) for parameter, place in space.items()}
@@ -153,18 +153,28 @@ def test_a_space_is_read_from_a_file():
 
 
 BAD_SPACES = [
-    ("cluter_rate = [1.0, 2.0]", "no parameter 'cluter_rate'.*did you mean 'clutter_rate'"),
-    ("gate = { low = 1.0, hihg = 2.0 }", "unknown key.*gate.hihg.*did you mean 'high'"),
-    ("gate = { low = 1.0 }", "missing key.*gate.high"),
-    ("gate = 3.0", "field gate.*expected .*low.*got 3.0"),
-    ("gate = [3.0]", "field gate.*two values"),
-    ("gate = { low = 3.0, high = 3.0 }", "gate.high.*above 3, got 3.0"),
-    ("gate = { low = 0.0, high = 3.0, log = true }", "gate.low.*above 0.*got 0.0"),
-    ("gate = { low = 1.0, high = nan }", "gate.high.*finite number, got nan"),
-    ("gate = { low = 1, high = 2, log = 1 }", "gate.log.*true or false, got 1"),
-    ("max_hypotheses = { low = 1.5, high = 3, whole = true }", "low.*whole number, got 1.5"),
-    ("survival = { low = 0.9, high = 1.2 }", r"survival.*\[0, 1\], got 1.2"),
-    ('scores = ["first", "evrywhere"]', "scores.*did you mean 'everywhere'"),
+    ("sensor.cluter_rate = [1.0, 2.0]", "has no 'cluter_rate'.*did you mean 'clutter_rate'"),
+    ("clutter_rate = [1.0, 2.0]", "has no 'clutter_rate'.*it is now sensor.clutter_rate"),
+    (
+        "[reduction]\ngate = { low = 1.0, hihg = 2.0 }",
+        "unknown key.*gate.hihg.*did you mean 'high'",
+    ),
+    ("reduction.gate = { low = 1.0 }", "missing key.*reduction.gate.high"),
+    ("reduction.gate = 3.0", "field reduction.gate.*expected .*low.*got 3.0"),
+    ("reduction.gate = [3.0]", "field reduction.gate.*two values"),
+    ("reduction.gate = { low = 3.0, high = 3.0 }", "gate.high.*above 3, got 3.0"),
+    ("reduction.gate = { low = 0.0, high = 3.0, log = true }", "gate.low.*above 0.*got 0.0"),
+    ("reduction.gate = { low = 1.0, high = nan }", "gate.high.*finite number, got nan"),
+    ("reduction.gate = { low = 1, high = 2, log = 1 }", "gate.log.*true or false, got 1"),
+    (
+        "reduction.max_hypotheses = { low = 1.5, high = 3, whole = true }",
+        "low.*whole number, got 1.5",
+    ),
+    (
+        "survival.probability = { low = 0.9, high = 1.2 }",
+        "survival.probability.*at least 0 and at most 1, got 1.2",
+    ),
+    ('scores.kind = ["first", "evrywhere"]', "scores.kind.*did you mean 'every'"),
     ("", "nothing to tune"),
     ("= 3", "not valid TOML"),
 ]
@@ -227,19 +237,21 @@ def test_bad_arguments(capsys, arguments, message):
 
 def test_the_file_is_one_that_track_and_studies_take(scene, tmp_path, capsys):
     space = tmp_path / "space.toml"
-    space.write_text("clutter_rate = { low = 15.0, high = 30.0 }\nmax_hypotheses = [10, 50]")
+    space.write_text(
+        "sensor.clutter_rate = { low = 15.0, high = 30.0 }\nreduction.max_hypotheses = [10, 50]"
+    )
     config, out = tmp_path / "config.toml", tmp_path / "new" / "tuned.toml"
     config.write_text(
-        "gate = 18.0\nclutter_rate = 300.0\n"
-        "[visibility]\nunseen = 0.2\nstay_seen = 0.9\nstay_unseen = 0.6"
+        "reduction.gate = 18.0\nsensor.clutter_rate = 300.0\n[sensor.detection]\n"
+        "undetectable = 0.2\nstay_detectable = 0.9\nstay_undetectable = 0.6"
     )
     options = ("--space", space, "--config", config, "--recordings", 1, "--trials", 3)
     assert pmbm(scene, *options, "--held-back", 2, "--out", out) == 0
     shown, text = capsys.readouterr().out, out.read_text()
     values = tomllib.loads(text)
-    assert 15 <= values["clutter_rate"] <= 30
-    assert values["max_hypotheses"] in (10, 50)
-    assert values["gate"] == 18.0
+    assert 15 <= values["sensor"]["clutter_rate"] <= 30
+    assert values["reduction"]["max_hypotheses"] in (10, 50)
+    assert values["reduction"]["gate"] == 18.0
     for said in ("best of 3", "gospa on brief_car", "seed 1)", "held-back", "seed 10000001"):
         assert said in text
     assert "tuned - default" in shown
@@ -250,14 +262,13 @@ def test_the_file_is_one_that_track_and_studies_take(scene, tmp_path, capsys):
     study = tmp_path / "study.toml"
     study.write_text(
         'scenarios = ["brief_car.toml"]\ntrackers = ["tuned"]\n'
-        f'[tracker.tuned]\nfactory = "pmbm"\n[tracker.tuned.parameters]\n'
-        f"{text.replace('[visibility]', '[tracker.tuned.parameters.visibility]')}"
+        f'[tracker.tuned]\nfactory = "pmbm"\nconfig = "{out}"\n'
     )
     studied = load_study(study, resolve).cells[0].trackers["tuned"](Site())
     assert isinstance(tracked.config, PMBMConfig)
     assert tracked.config == studied.config
-    assert tracked.config.clutter_rate == values["clutter_rate"]
-    assert tracked.config.visibility.unseen == 0.2
+    assert tracked.config.sensor.clutter_rate == values["sensor"]["clutter_rate"]
+    assert tracked.config.sensor.detection.undetectable == 0.2
 
     # Without a file to write, the same goes to standard output, and nothing else does.
     assert pmbm(scene, *options, "--held-back", 2) == 0
@@ -285,24 +296,26 @@ def test_noise_is_fitted_to_what_is_tuned_on(scene, tmp_path, capsys):
 def test_what_scores_say_is_fitted_to_what_is_tuned_on(scene):
     source = resolve(str(scene), {})
     recordings = [source.record(1, trial) for trial in range(3)]
-    tracker = fitted_tracker(ConfiguredTracker("pmbm", (("gate", 18.0),)), recordings)
+    tracker = fitted_tracker(ConfiguredTracker("pmbm", (("reduction.gate", 18.0),)), recordings)
     config = tracker(Site()).config
-    assert (config.gate, config.scores) == (18.0, "ignore")
+    assert config.reduction.gate == 18.0
+    assert isinstance(config.scores, ObjectClasses)
     score = np.concatenate([d.score for r in recordings for d in r.detections])
     true = np.concatenate([o != CLUTTER for r in recordings for o in r.origin])
     model = ScoreModel.fit_isotonic(score, true)
-    np.testing.assert_allclose(config.kinds.score.log_odds, model.log_odds, rtol=1e-4)
-    assert 0 < config.kinds.birth[-1] < config.kinds.birth[0]
+    np.testing.assert_allclose(config.scores.score.log_odds, model.log_odds, rtol=1e-4)
+    assert 0 < config.scores.birth[-1] < config.scores.birth[0]
     # What it says goes through a file.
     again = tomllib.loads(toml_text(dict(tracker.parameters)))
-    assert ConfiguredTracker("pmbm", tuple(again.items()))(Site()).config.kinds.score.scale
+    assert ConfiguredTracker("pmbm", tuple(again.items()))(Site()).config.scores.score.scale
     with pytest.raises(InputError, match="origin"):
         fitted_tracker(tracker, [dataclasses.replace(recordings[0], origin=None)])
 
 
 def test_gains_are_those_of_a_study_on_the_same_trials(scene):
     source = resolve(str(scene), {})
-    default, tuned = ConfiguredTracker("pmbm"), ConfiguredTracker("pmbm", (("clutter_rate", 20.0),))
+    default = ConfiguredTracker("pmbm")
+    tuned = ConfiguredTracker("pmbm", (("sensor.clutter_rate", 20.0),))
     ((name, before, after, gain),) = Simulated.of([source], default, "gospa", 7, 3).gains(tuned)
     trackers = {"default": default, "tuned": tuned}
     summary = summarise(run_trials(source, trackers, 7, 3, metrics=["gospa"]))
@@ -315,7 +328,8 @@ def test_gains_are_those_of_a_study_on_the_same_trials(scene):
 def test_several_scenarios_are_compared_by_their_mean(scene):
     source = resolve(str(scene), {})
     other = resolve(str(scene), {"detector.clutter.rate": 0.0})
-    default, tuned = ConfiguredTracker("pmbm"), ConfiguredTracker("pmbm", (("clutter_rate", 20.0),))
+    default = ConfiguredTracker("pmbm")
+    tuned = ConfiguredTracker("pmbm", (("sensor.clutter_rate", 20.0),))
     problem = Simulated.of([source, other], default, "gospa", 7, 2)
     one, two, mean = problem.gains(tuned)
     assert mean[0] == "mean of all"
@@ -347,7 +361,8 @@ def test_a_dataset_is_tuned_by_its_own_rule(folder, tmp_path, capsys, mode):
     dataset = open_dataset("kitti", root=folder, classes=("Car",))
     tracker = class_trackers(dataset, "pmbm", out)[Label.CAR](Site())
     # What ships for this dataset and class is what there is to beat, and stays where not tuned.
-    assert tracker.config.levels is not None
+    assert isinstance(tracker.config.scores, ScoreLevels)
+    assert tracker.config.scores.label == Label.CAR
     found = refusal(capsys, *given, "--class", "Car", "--metric", "HOTTA")
     assert "did you mean 'HOTA'" in found
     assert "neither more nor less" in refusal(capsys, *given, "--class", "Car", "--metric", "GT")
@@ -357,19 +372,19 @@ def test_a_dataset_is_tuned_by_its_own_rule(folder, tmp_path, capsys, mode):
 def test_tuned_parameters_beat_wrong_defaults_on_held_back_seeds():
     """The detector gives ten times the clutter that the default parameters assume; what is found on
     four recordings is significantly better on twenty others, by the paired interval."""
-    rate = 10 * PMBMConfig().clutter_rate
+    rate = 10 * PMBMConfig().sensor.clutter_rate
     source = resolve("crossing", {"detector.clutter.rate": rate, "duration": 6.0})
     default = ConfiguredTracker("pmbm")
     problem = Simulated.of([source], default, "gospa", 1, 4)
-    space = {name: SPACES["pmbm"][name] for name in ("clutter_rate", "measurement_sd")}
+    space = {name: SPACES["pmbm"][name] for name in ("sensor.clutter_rate", "sensor.position_sd")}
     tuned = tune(
         lambda p: problem.value(ConfiguredTracker("pmbm", tuple(p.items()))),
         space,
         trials=25,
         seed=1,
-        defaults=_present(default, space),
+        defaults=present_values(default, space),
     )
-    assert tuned.parameters["clutter_rate"] > 2 * PMBMConfig().clutter_rate
+    assert tuned.parameters["sensor.clutter_rate"] > 2 * PMBMConfig().sensor.clutter_rate
     held = Simulated.of([source], default, "gospa", 1 + FIRST_HELD_BACK_SEED, 20)
     ((_, before, after, gain),) = held.gains(
         ConfiguredTracker("pmbm", tuple(tuned.parameters.items()))

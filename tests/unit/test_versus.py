@@ -109,13 +109,13 @@ def test_a_bound_is_run_by_studies_and_is_no_tracker():
     trackers = {"pmbm": "pmbm", "knowing": ConfiguredTracker("clairvoyant")}
     found = run_trial(scene, trackers, seed=1, metrics=["gospa", "id_switches"])
     assert found.scores["knowing"]["id_switches"] == 0
-    rough = ConfiguredTracker("clairvoyant", (("measurement_sd", 5.0),))
+    rough = ConfiguredTracker("clairvoyant", (("position_sd", 5.0),))
     other = run_trial(scene, {"rough": rough}, seed=1, metrics=["gospa"])
     assert other.scores["rough"]["gospa"] != found.scores["knowing"]["gospa"]
     with pytest.raises(InputError, match="reads the truth"):
         make_tracker(tracker_factory("clairvoyant"), Site())
-    with pytest.raises(InputError, match="did you mean 'measurement_sd'"):
-        ConfiguredTracker("clairvoyant", (("mesurement_sd", 5.0),)).bound()
+    with pytest.raises(InputError, match="did you mean 'position_sd'"):
+        ConfiguredTracker("clairvoyant", (("positon_sd", 5.0),)).bound()
 
 
 @pytest.fixture(scope="module")

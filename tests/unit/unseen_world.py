@@ -7,8 +7,8 @@ no lattice and no bearings are involved.
 import numpy as np
 
 from pmbm import Detections, PMBMConfig, Site
-from pmbm.filter import PMBMTracker
-from pmbm.filter.models import constant_velocity
+from pmbm.filter import BirthMap, PMBMTracker, Survival
+from pmbm.filter.models.view import View
 
 WALL = np.array([[12, -9], [13, -9], [13, 9], [12, 9]], dtype=float)
 SHADOW = np.array([[13, -9.75], [39, -29.25], [39, 29.25], [13, 9.75]])
@@ -19,14 +19,20 @@ DT = 0.1
 
 
 def model(**changes):
+    """The textbook with a map; changes : of the configuration, by dotted names."""
     given = {
-        "birth_rate": 6.0,
-        "initial_objects": 20.0,
-        "survival": 0.99,
-        "undetected_detail": 3.5,
-        "occlusion": True,
+        "birth": BirthMap(rate=6.0, initial=20.0, spacing=3.5),
+        "survival": Survival(probability=0.99),
+        "sensor.occlusion": True,
     }
-    return PMBMConfig.textbook(**{**given, **changes})
+    return PMBMConfig.textbook().changed({**given, **changes})
+
+
+def births(config, site=SITE):
+    """Of the first frame, and of each later one, with the sensor at the origin."""
+    view = View.of(site, np.zeros(3))
+    initial, memory = config.birth.births(site, view, None, config.survival, None)
+    return initial, config.birth.births(site, view, DT, config.survival, memory)[0]
 
 
 def tracked(config, frames, site=SITE):
@@ -65,11 +71,11 @@ def seen_by(config, x, y, site=SITE):
     share = np.zeros(len(x))
     behind = (x > 10) & (np.abs(y) < x + 5)
     share[behind] = hidden_share(x[behind], y[behind])
-    return config.detection_probability * inside * (1 - share)
+    return config.sensor.detection.probability * inside * (1 - share)
 
 
 def moved(state, dt, config, rng):
-    F, Q = constant_velocity(dt, config.spectral_density)
+    F, Q = config.motion.transition(dt)
     return state @ F.T + rng.multivariate_normal(np.zeros(4), Q, len(state))
 
 
@@ -85,7 +91,7 @@ def reference(
     for frame in range(frames):
         if frame:
             state = moved(state, DT, config, rng)
-            weight = weight * config.survival ** (DT / config.survival_interval)
+            weight = weight * config.survival.over(DT)
             born, mass = draw(births, each, rng)
             state = np.concatenate([state, born])
             born_weight = np.where(np.hypot(*born[:, :2].T) <= within, mass, 0.0)

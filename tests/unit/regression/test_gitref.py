@@ -169,7 +169,7 @@ def test_this_projects_own_tracker_runs_from_a_checkout(tmp_path):
         # Not the tree at hand in disguise: without its tracker the checkout has none.
         os.rename(f"{folder}/pmbm/filter", f"{folder}/pmbm/elsewhere")
         with pytest.raises(RuntimeError, match="cannot be imported"):
-            GitTracker(folder, "pmbm", (("gate", 20.0),))(recording.site)
+            GitTracker(folder, "pmbm", (("reduction.gate", 20.0),))(recording.site)
     assert [t.id.tolist() for t in here] == [t.id.tolist() for t in there]
 
 

@@ -62,11 +62,11 @@ metrics = ["ospa", "mota"]
 
 [tracker.tight]
 factory = "pmbm"
-parameters = { gate = 9.0 }
+parameters = { reduction = { gate = 9.0 } }
 
 [sweep.grid]
 noise = [0.1, 0.5]
-"tracker.pmbm.detection_probability" = [0.8, 0.9, 0.95]
+"tracker.pmbm.sensor.detection.base.probability" = [0.8, 0.9, 0.95]
 
 [limits]
 seconds = 60
@@ -80,11 +80,12 @@ margin = 0.1
     assert len(study) == 120
     cell = study.cells[4]
     assert cell.scenario == "convoy"
-    assert cell.point == {"noise": 0.5, "tracker.pmbm.detection_probability": 0.9}
+    swept = "sensor.detection.base.probability"
+    assert cell.point == {"noise": 0.5, f"tracker.pmbm.{swept}": 0.9}
     assert cell.source == Convoy(noise=0.5)
-    assert cell.label == "convoy [noise = 0.5, tracker.pmbm.detection_probability = 0.9]"
-    assert cell.trackers["pmbm"].parameters == (("detection_probability", 0.9),)
-    assert cell.trackers["tight"](site=Site()).config.gate == 9.0
+    assert cell.label == f"convoy [noise = 0.5, tracker.pmbm.{swept} = 0.9]"
+    assert cell.trackers["pmbm"].parameters == ((swept, 0.9),)
+    assert cell.trackers["tight"](site=Site()).config.reduction.gate == 9.0
     assert isinstance(cell.trackers["study_worlds:Echo"](site=Site()), Echo)
     assert (study.time_limit, study.memory_limit, study.gate["margin"]) == (60, 2000, 0.1)
 
@@ -184,13 +185,13 @@ def test_the_hash_is_the_same_in_another_process(tmp_path):
         (SMALL + '[sweep.grid]\n"tracker.pmbm.gate" = [1.0]', "no tracker 'pmbm' in this study"),
         (
             SMALL.replace("study_worlds:Echo", "pmbm")
-            + '[tracker.pmbm]\nfactory = "pmbm"\nparameters = { gaet = 1.0 }',
-            "no parameter 'gaet'.*did you mean 'gate'",
+            + '[tracker.pmbm]\nfactory = "pmbm"\nparameters = { reduction = { gaet = 1.0 } }',
+            "no 'gaet'.*reduction.gaet.*did you mean 'gate'",
         ),
         (
             SMALL.replace("study_worlds:Echo", "pmbm")
-            + '[tracker.pmbm]\nfactory = "pmbm"\nparameters = { gate = -1.0 }',
-            "gate.*got -1",
+            + '[tracker.pmbm]\nfactory = "pmbm"\nparameters = { reduction = { gate = -1.0 } }',
+            "reduction.gate.*got -1",
         ),
         (
             SMALL + "[sweep.latin_hypercube]\nsamples = 2\nranges = { noise = [2.0, 1.0] }",
@@ -247,9 +248,9 @@ def test_parameters_reach_the_factory():
     site = Site(max_range=33.0)
     own = ConfiguredTracker(f"{__name__}:with_config_of_its_own", (("speed", 4.0),))
     assert own(site=site) == (site, 4.0)
-    pmbm = ConfiguredTracker("pmbm", (("gate", 9.0),))(site=site)
+    pmbm = ConfiguredTracker("pmbm", (("reduction.gate", 9.0),))(site=site)
     assert isinstance(pmbm, PMBMTracker)
-    assert (pmbm.config.gate, pmbm.site) == (9.0, site)
+    assert (pmbm.config.reduction.gate, pmbm.site) == (9.0, site)
     assert ConfiguredTracker("argoverse", (("min_hits", 2),))(site=site).config.min_hits == 2
     with pytest.raises(InputError, match="did you mean 'speed'"):
         ConfiguredTracker(f"{__name__}:with_config_of_its_own", (("sped", 4.0),)).bound()
@@ -260,17 +261,18 @@ def test_the_schema_is_json():
 
 
 def test_parameters_from_a_file_of_their_own(tmp_path):
-    (tmp_path / "tuned.toml").write_text("gate = 18.0\nclutter_rate = 3.0\n")
+    (tmp_path / "tuned.toml").write_text("[reduction]\ngate = 18.0\n[sensor]\nclutter_rate = 3.0\n")
     text = (
         'scenarios = ["convoy"]\ntrackers = ["tight"]\n'
-        '[tracker.tight]\nfactory = "pmbm"\nconfig = "tuned.toml"\nparameters = { gate = 9.0 }\n'
+        '[tracker.tight]\nfactory = "pmbm"\nconfig = "tuned.toml"\n'
+        "parameters = { reduction = { gate = 9.0 } }\n"
     )
     study = load(tmp_path, text)
     config = study.cells[0].trackers["tight"](Site()).config
-    assert (config.gate, config.clutter_rate) == (9.0, 3.0)
+    assert (config.reduction.gate, config.sensor.clutter_rate) == (9.0, 3.0)
     before = study.hash
-    (tmp_path / "tuned.toml").write_text("clutter_rate = 4.0\n")
+    (tmp_path / "tuned.toml").write_text("[sensor]\nclutter_rate = 4.0\n")
     assert load(tmp_path, text).hash != before
-    for bad, message in (("nowhere.toml", "cannot read it"), ("night.toml", "no parameter")):
+    for bad, message in (("nowhere.toml", "cannot read it"), ("night.toml", "PMBMConfig has no")):
         with pytest.raises(InputError, match=message):
             load(tmp_path, text.replace("tuned.toml", bad))

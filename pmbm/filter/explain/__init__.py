@@ -1,0 +1,1 @@
+"""Why the tracker reports what it reports: its hypotheses, and one track's life in words."""

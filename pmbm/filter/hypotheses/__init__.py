@@ -1,0 +1,1 @@
+"""From the global hypotheses before a scan to those after it: gating, branching, clusters."""

@@ -1,0 +1,1 @@
+"""Identities for the output: which track goes by which id.  They change no probability."""

@@ -1,0 +1,1 @@
+"""The parts of the tracker's model, one file a part; `protocols` says what each owes."""

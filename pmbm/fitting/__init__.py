@@ -1,0 +1,1 @@
+"""Fitting the tracker's models to recordings whose detections have known origins."""

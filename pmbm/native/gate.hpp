@@ -1,0 +1,410 @@
+// Which measurements lie in the gate of which Gaussian, and what the undetected objects behind a
+// measurement look like.  The plain versions are gate() of gating.py, _fused() of update.py and what
+// is named beside each function.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+namespace pmbm {
+
+// Points of the plane in square cells, about one to a cell.
+class Grid {
+ public:
+    Grid(const double* points, std::size_t count) {
+        double low[2] = {0, 0}, high[2] = {0, 0};
+        for (int axis = 0; axis < 2 && count; ++axis) {
+            low[axis] = high[axis] = points[axis];
+            for (std::size_t i = 1; i < count; ++i) {
+                low[axis] = std::min(low[axis], points[2 * i + axis]);
+                high[axis] = std::max(high[axis], points[2 * i + axis]);
+            }
+        }
+        const double width = high[0] - low[0], height = high[1] - low[1];
+        const double n = static_cast<double>(std::max<std::size_t>(count, 1));
+        // A line of points has no area; its cells are as long as it needs.
+        side_ = std::max({std::sqrt(width * height / n), std::max(width, height) / n, 1e-9});
+        for (int axis = 0; axis < 2; ++axis) {
+            low_[axis] = low[axis];
+            cells_[axis] = 1 + static_cast<std::int64_t>((high[axis] - low[axis]) / side_);
+        }
+        start_.assign(static_cast<std::size_t>(cells_[0] * cells_[1]) + 1, 0);
+        std::vector<std::size_t> cell(count);
+        for (std::size_t i = 0; i < count; ++i) {
+            cell[i] = static_cast<std::size_t>(at(points[2 * i], 0) * cells_[1] +
+                                               at(points[2 * i + 1], 1));
+            ++start_[cell[i] + 1];
+        }
+        for (std::size_t i = 1; i < start_.size(); ++i) start_[i] += start_[i - 1];
+        point_.resize(count);
+        auto next = start_;
+        for (std::size_t i = 0; i < count; ++i) {
+            point_[next[cell[i]]++] = static_cast<std::int64_t>(i);
+        }
+    }
+
+    // Calls visit(point) for all points of the box and perhaps some around it.
+    template <typename Visit>
+    void in_box(double x, double y, double half_width, double half_height, Visit visit) const {
+        const auto first = at(y - half_height, 1), last = at(y + half_height, 1);
+        for (auto column = at(x - half_width, 0); column <= at(x + half_width, 0); ++column) {
+            const auto row = static_cast<std::size_t>(column * cells_[1]);
+            const auto from = start_[row + static_cast<std::size_t>(first)];
+            const auto to = start_[row + static_cast<std::size_t>(last) + 1];
+            for (auto i = from; i < to; ++i) visit(point_[i]);
+        }
+    }
+
+ private:
+    std::int64_t at(double coordinate, int axis) const {
+        const double cell = std::floor((coordinate - low_[axis]) / side_);
+        const double last = static_cast<double>(cells_[axis] - 1);
+        return static_cast<std::int64_t>(std::clamp(cell, 0.0, last));
+    }
+
+    double side_ = 1, low_[2] = {0, 0};
+    std::int64_t cells_[2] = {1, 1};
+    std::vector<std::size_t> start_;
+    std::vector<std::int64_t> point_;
+};
+
+// N Gaussians of measurements: centres (N,2) and lower Cholesky factors.
+struct Innovations {
+    const double *expected, *l11, *l21, *l22;
+    std::size_t count;
+};
+
+// Innovation.of() of gaussian.py, and what comes with it: the log of `prior` times the height of the
+// density of measurements.
+struct Expected {
+    std::vector<double> centre, l11, l21, l22, log_height;
+
+    // `prior` is a weight, or its log.
+    Expected(const double* mean, const double* cov, const double* R, const double* prior,
+             bool prior_is_log, std::size_t count)
+        : centre(2 * count), l11(count), l21(count), l22(count), log_height(count) {
+        const double log_2pi = std::log(2 * std::acos(-1.0));
+        for (std::size_t i = 0; i < count; ++i) {
+            const double *m = mean + 4 * i, *P = cov + 16 * i;
+            centre[2 * i] = m[0];
+            centre[2 * i + 1] = m[1];
+            l11[i] = std::sqrt(P[0] + R[0]);
+            l21[i] = (P[4] + R[2]) / l11[i];
+            l22[i] = std::sqrt(P[5] + R[3] - l21[i] * l21[i]);
+            const double log_prior = prior_is_log ? prior[i] : std::log(prior[i]);
+            log_height[i] = log_prior + (-log_2pi - std::log(l11[i]) - std::log(l22[i]));
+        }
+    }
+
+    Innovations view() const {
+        return {centre.data(), l11.data(), l21.data(), l22.data(), l11.size()};
+    }
+};
+
+// Calls visit(i, measurement, y0, y1) for every pair of squared distance below `threshold`, by
+// Gaussian, with the whitened innovation; a Gaussian's measurements come in no order.
+template <typename Visit>
+void each_gated(const Innovations& g, const double* z, std::size_t measurements, double threshold,
+                Visit visit) {
+    if (!measurements) return;
+    const Grid grid(z, measurements);
+    // The gate's ellipse touches its bounding box, so rounding gets a little room.
+    const double reach = std::sqrt(threshold) * (1 + 1e-9);
+    for (std::size_t i = 0; i < g.count; ++i) {
+        const double x = g.expected[2 * i], y = g.expected[2 * i + 1];
+        grid.in_box(x, y, reach * g.l11[i], reach * std::sqrt(g.l21[i] * g.l21[i] + g.l22[i] * g.l22[i]),
+                    [&](std::int64_t j) {
+                        const double y0 = (z[2 * j] - x) / g.l11[i];
+                        const double y1 = (z[2 * j + 1] - y - g.l21[i] * y0) / g.l22[i];
+                        if (y0 * y0 + y1 * y1 < threshold) visit(i, j, y0, y1);
+                    });
+    }
+}
+
+// All pairs, sorted by Gaussian, then measurement.
+inline void gate(const Innovations& g, const double* z, std::size_t measurements, double threshold,
+                 std::vector<std::int64_t>& rows, std::vector<std::int64_t>& columns,
+                 std::vector<double>& whitened) {
+    struct Hit {
+        std::int64_t measurement;
+        double y0, y1;
+    };
+    std::vector<Hit> hits;
+    std::size_t gaussian = 0;
+    const auto write_down = [&] {
+        std::sort(hits.begin(), hits.end(),
+                  [](const Hit& a, const Hit& b) { return a.measurement < b.measurement; });
+        for (const auto& hit : hits) {
+            rows.push_back(static_cast<std::int64_t>(gaussian));
+            columns.push_back(hit.measurement);
+            whitened.push_back(hit.y0);
+            whitened.push_back(hit.y1);
+        }
+        hits.clear();
+    };
+    each_gated(g, z, measurements, threshold,
+               [&](std::size_t i, std::int64_t j, double y0, double y1) {
+                   if (i != gaussian) write_down();
+                   gaussian = i;
+                   hits.push_back({j, y0, y1});
+               });
+    write_down();
+}
+
+// _gated() of association.py: the pairs of those that weigh something, and their log weights.
+inline void weigh(const Expected& g, std::vector<std::int64_t>& rows,
+                  std::vector<std::int64_t>& columns, std::vector<double>& whitened,
+                  std::vector<double>& log_weight) {
+    std::size_t kept = 0;
+    log_weight.resize(rows.size());
+    for (std::size_t i = 0; i < rows.size(); ++i) {
+        const double y0 = whitened[2 * i], y1 = whitened[2 * i + 1];
+        const double weight =
+            g.log_height[static_cast<std::size_t>(rows[i])] - 0.5 * (y0 * y0 + y1 * y1);
+        if (!(weight > -std::numeric_limits<double>::infinity())) continue;
+        rows[kept] = rows[i];
+        columns[kept] = columns[i];
+        whitened[2 * kept] = y0;
+        whitened[2 * kept + 1] = y1;
+        log_weight[kept++] = weight;
+    }
+    rows.resize(kept);
+    columns.resize(kept);
+    whitened.resize(2 * kept);
+    log_weight.resize(kept);
+}
+
+// log of the sum, over the Gaussians in whose gate a measurement lies, of exp(log_height) times the
+// Gaussian's shape exp(-d^2 / 2); -inf where it lies in none.
+inline std::vector<double> log_density(const Innovations& g, const double* log_height,
+                                       const double* z, std::size_t measurements,
+                                       double threshold) {
+    constexpr double nothing = -std::numeric_limits<double>::infinity();
+    std::vector<double> top(measurements, nothing), sum(measurements, 0.0);
+    each_gated(g, z, measurements, threshold,
+               [&](std::size_t i, std::int64_t j, double y0, double y1) {
+                   const double value = log_height[i] - 0.5 * (y0 * y0 + y1 * y1);
+                   if (value == nothing) return;
+                   if (value > top[j]) {
+                       sum[j] = sum[j] * std::exp(top[j] - value) + 1;
+                       top[j] = value;
+                   } else {
+                       sum[j] += std::exp(value - top[j]);
+                   }
+               });
+    for (std::size_t j = 0; j < measurements; ++j) {
+        if (sum[j] > 0) top[j] += std::log(sum[j]);
+    }
+    return top;
+}
+
+// _explained() of resumption.py: the origin, other than -1, that makes up most of each measurement's
+// density, whose log is `log_total`, and its share; -1 and 0 where there is none.
+inline void explained(const Innovations& g, const double* log_height, const std::int64_t* origin,
+                      const double* share_of_origin, const double* z, const double* log_total,
+                      std::size_t measurements, double threshold, std::vector<std::int64_t>& origins,
+                      std::vector<double>& shares) {
+    struct Part {
+        std::int64_t measurement, origin;
+        double share;
+    };
+    std::vector<Part> parts;
+    each_gated(g, z, measurements, threshold,
+               [&](std::size_t i, std::int64_t j, double y0, double y1) {
+                   const double value = log_height[i] - 0.5 * (y0 * y0 + y1 * y1);
+                   if (origin[i] < 0 || !(value > -std::numeric_limits<double>::infinity())) return;
+                   parts.push_back(
+                       {j, origin[i], std::exp(value - log_total[j]) * share_of_origin[i]});
+               });
+    std::stable_sort(parts.begin(), parts.end(), [](const Part& a, const Part& b) {
+        return a.measurement != b.measurement ? a.measurement < b.measurement
+                                              : a.origin < b.origin;
+    });
+    origins.assign(measurements, -1);
+    shares.assign(measurements, 0.0);
+    for (std::size_t i = 0, end = 0; i < parts.size(); i = end) {
+        const auto j = static_cast<std::size_t>(parts[i].measurement);
+        double share = 0;
+        for (end = i; end < parts.size() && parts[end].measurement == parts[i].measurement &&
+                      parts[end].origin == parts[i].origin;
+             ++end) {
+            share += parts[end].share;
+        }
+        if (share < shares[j]) continue;
+        origins[j] = parts[i].origin;
+        shares[j] = share;
+    }
+}
+
+// _resumed() of resumption.py: of each measurement the origin that explains more than `most` of it,
+// or -1; not one of `known`, and each origin once, where probability (M,) times share is largest.
+inline std::vector<std::int64_t> resumed(std::vector<std::int64_t> origins,
+                                         const std::vector<double>& shares, double most,
+                                         const double* probability, const std::int64_t* known,
+                                         std::size_t known_count) {
+    struct Claim {
+        std::int64_t origin;
+        double strength;
+        std::size_t measurement;
+    };
+    std::vector<Claim> claims;
+    for (std::size_t j = 0; j < origins.size(); ++j) {
+        if (shares[j] > most) claims.push_back({origins[j], probability[j] * shares[j], j});
+        origins[j] = -1;
+    }
+    std::sort(claims.begin(), claims.end(), [](const Claim& a, const Claim& b) {
+        if (a.origin != b.origin) return a.origin < b.origin;
+        return a.strength != b.strength ? a.strength < b.strength : a.measurement < b.measurement;
+    });
+    for (std::size_t i = 0; i < claims.size(); ++i) {
+        const bool strongest = i + 1 == claims.size() || claims[i + 1].origin != claims[i].origin;
+        if (strongest) origins[claims[i].measurement] = claims[i].origin;
+    }
+    if (claims.empty()) return origins;
+    for (std::size_t t = 0; t < known_count; ++t) {
+        const auto at = std::upper_bound(
+            claims.begin(), claims.end(), known[t],
+            [](std::int64_t origin, const Claim& claim) { return origin < claim.origin; });
+        if (at != claims.begin() && (at - 1)->origin == known[t]) {
+            origins[(at - 1)->measurement] = -1;
+        }
+    }
+    return origins;
+}
+
+// A Kalman update but for the measurement: gain W for whitened innovations, and covariance after.
+// gain() and corrected_cov() of gaussian.py say why the position block is what it is.
+struct Correction {
+    double W[8], after[16];
+
+    Correction(const double* P, double l11, double l21, double l22, const double* R) {
+        for (int a = 0; a < 4; ++a) {
+            W[2 * a] = P[4 * a] / l11;
+            W[2 * a + 1] = (P[4 * a + 1] - l21 * W[2 * a]) / l22;
+        }
+        double V[4];
+        for (int a = 0; a < 2; ++a) {
+            V[2 * a] = R[2 * a] / l11;
+            V[2 * a + 1] = (R[2 * a + 1] - l21 * V[2 * a]) / l22;
+        }
+        for (int a = 0; a < 4; ++a) {
+            for (int b = 0; b < 4; ++b) {
+                after[4 * a + b] =
+                    a < 2 && b < 2
+                        ? R[2 * a + b] - V[2 * a] * V[2 * b] - V[2 * a + 1] * V[2 * b + 1]
+                        : P[4 * a + b] - (W[2 * a] * W[2 * b] + W[2 * a + 1] * W[2 * b + 1]);
+            }
+        }
+        for (int a = 0; a < 4; ++a) {
+            for (int b = 0; b < a; ++b) {
+                const double both = 0.5 * (after[4 * a + b] + after[4 * b + a]);
+                after[4 * a + b] = after[4 * b + a] = both;
+            }
+        }
+    }
+};
+
+// F m and F P F' + Q of n Gaussians.
+inline void move(const double* mean, const double* cov, std::size_t count, const double* F,
+                 const double* Q, std::vector<double>& means, std::vector<double>& covs) {
+    means.resize(4 * count);
+    covs.resize(16 * count);
+    for (std::size_t i = 0; i < count; ++i) {
+        const double *m = mean + 4 * i, *P = cov + 16 * i;
+        double FP[16];
+        for (int a = 0; a < 4; ++a) {
+            const double* f = F + 4 * a;
+            means[4 * i + a] = f[0] * m[0] + f[1] * m[1] + f[2] * m[2] + f[3] * m[3];
+            for (int b = 0; b < 4; ++b) {
+                FP[4 * a + b] = f[0] * P[b] + f[1] * P[4 + b] + f[2] * P[8 + b] + f[3] * P[12 + b];
+            }
+        }
+        double* out = covs.data() + 16 * i;
+        for (int a = 0; a < 4; ++a) {
+            for (int b = 0; b <= a; ++b) {
+                const double *row = FP + 4 * a, *f = F + 4 * b;
+                out[4 * a + b] = out[4 * b + a] = Q[4 * a + b] + row[0] * f[0] + row[1] * f[1] +
+                                                  row[2] * f[2] + row[3] * f[3];
+            }
+        }
+    }
+}
+
+// Kalman updates of the Gaussians row[i] by whitened innovations y (n,2).
+inline void correct(const double* mean, const double* cov, const Innovations& g, const double* R,
+                    const std::int64_t* row, const double* y, std::size_t count,
+                    std::vector<double>& means, std::vector<double>& covs) {
+    means.reserve(4 * count);
+    covs.reserve(16 * count);
+    for (std::size_t i = 0; i < count; ++i) {
+        const auto r = row[i];
+        const Correction c(cov + 16 * r, g.l11[r], g.l21[r], g.l22[r], R);
+        for (int a = 0; a < 4; ++a) {
+            means.push_back(mean[4 * r + a] + c.W[2 * a] * y[2 * i] +
+                            c.W[2 * a + 1] * y[2 * i + 1]);
+        }
+        covs.insert(covs.end(), c.after, c.after + 16);
+    }
+}
+
+// What a measurement says alone: mean (M,4) at it and at rest, cov (M,4,4) of R in both blocks.
+inline void unexplained(const double* z, const double* R, std::size_t measurements, double* mean,
+                        double* cov) {
+    for (std::size_t j = 0; j < measurements; ++j) {
+        for (int a = 0; a < 2; ++a) {
+            mean[4 * j + a] = z[2 * j + a];
+            for (int b = 0; b < 2; ++b) {
+                cov[16 * j + 4 * a + b] = cov[16 * j + 4 * (a + 2) + b + 2] = R[2 * a + b];
+            }
+        }
+    }
+}
+
+// The Gaussians (mean_of, cov_of) in whose gate each measurement lies, corrected by it and weighted
+// by their share in its density, whose log is `log_total`, as one Gaussian: mean (M,4) and
+// cov (M,4,4).  A measurement that lies in no gate keeps what is there.
+inline void fuse(const Innovations& g, const double* log_height, const double* mean_of,
+                 const double* cov_of, const double* R, const double* z, const double* log_total,
+                 std::size_t measurements, double threshold, double* mean, double* cov) {
+    std::vector<Correction> correction;
+    correction.reserve(g.count);
+    for (std::size_t i = 0; i < g.count; ++i) {
+        correction.emplace_back(cov_of + 16 * i, g.l11[i], g.l21[i], g.l22[i], R);
+    }
+    // Moments about the measurement itself, at rest: near the mean, so that little cancels.
+    std::vector<double> first(4 * measurements, 0.0), second(16 * measurements, 0.0);
+    each_gated(g, z, measurements, threshold,
+               [&](std::size_t i, std::int64_t j, double y0, double y1) {
+                   const auto& c = correction[i];
+                   const double share =
+                       std::exp(log_height[i] - 0.5 * (y0 * y0 + y1 * y1) - log_total[j]);
+                   double apart[4];
+                   for (int a = 0; a < 4; ++a) {
+                       apart[a] = mean_of[4 * i + a] + c.W[2 * a] * y0 + c.W[2 * a + 1] * y1 -
+                                  (a < 2 ? z[2 * j + a] : 0.0);
+                       first[4 * j + a] += share * apart[a];
+                   }
+                   for (int a = 0; a < 4; ++a) {
+                       for (int b = 0; b < 4; ++b) {
+                           second[16 * j + 4 * a + b] +=
+                               share * (c.after[4 * a + b] + apart[a] * apart[b]);
+                       }
+                   }
+               });
+    for (std::size_t j = 0; j < measurements; ++j) {
+        if (!(log_total[j] > -std::numeric_limits<double>::infinity())) continue;
+        for (int a = 0; a < 4; ++a) {
+            mean[4 * j + a] = first[4 * j + a] + (a < 2 ? z[2 * j + a] : 0.0);
+            for (int b = 0; b < 4; ++b) {
+                cov[16 * j + 4 * a + b] =
+                    second[16 * j + 4 * a + b] - first[4 * j + a] * first[4 * j + b];
+            }
+        }
+    }
+}
+
+}  // namespace pmbm

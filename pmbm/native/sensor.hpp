@@ -1,0 +1,57 @@
+// What a sensor can see, and what a miss says.  The plain versions are View.share_inside() and
+// Sensor.missed() of models.py and Visibility.if_missed() of marks.py, and say what is meant.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+
+namespace pmbm {
+
+struct View {
+    const double* pose;
+    double centre, half_angle, max_range;
+};
+
+// The probability that a standard normal is at most x.
+inline double normal_below(double x) { return 0.5 * std::erfc(-x * std::sqrt(0.5)); }
+
+inline void share_inside(const double* mean, const double* cov, std::size_t count, const View& view,
+                         double* share) {
+    const double pi = std::acos(-1.0);
+    for (std::size_t i = 0; i < count; ++i) {
+        const double dx = mean[4 * i] - view.pose[0], dy = mean[4 * i + 1] - view.pose[1];
+        const double distance = std::sqrt(dx * dx + dy * dy);
+        const double sd = std::sqrt(std::max(cov[16 * i] + cov[16 * i + 5], 1e-12) / 2);
+        const double range = std::sqrt(distance * distance + sd * sd);
+        share[i] = normal_below((view.max_range - range) / sd);
+        if (!(view.half_angle < pi)) continue;
+        const double bearing = std::atan2(dy, dx) - view.pose[2] - view.centre;
+        const double off_centre = std::abs(std::remainder(bearing, 2 * pi));
+        share[i] *= normal_below((view.half_angle - off_centre) * distance / sd);
+    }
+}
+
+// Existence after a miss, and the weight of missing, by Bayes' rule.
+inline void missed(const double* r, const double* P_D, std::size_t count, double* existence,
+                   double* left) {
+    for (std::size_t i = 0; i < count; ++i) {
+        left[i] = 1 - r[i] * P_D[i];
+        existence[i] = left[i] > 0 ? r[i] * (1 - P_D[i]) / left[i] : 0.0;
+    }
+}
+
+// P(seen) after a miss; `unseen` is the share of P_D that is left of what is not seen.
+inline void detectable_if_missed(const double* seen, const double* P_D, std::size_t count, double unseen,
+                           double* after) {
+    for (std::size_t i = 0; i < count; ++i) {
+        const double share = seen[i] + (1 - seen[i]) * unseen;
+        const double missed_if_seen =
+            1 - P_D[i] / std::max(share, std::numeric_limits<double>::min());
+        const double chance = 1 - P_D[i];
+        after[i] = chance > 0 ? seen[i] * missed_if_seen / chance : seen[i];
+    }
+}
+
+}  // namespace pmbm
