@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import owens_t
 
-FloatArray = NDArray[np.float64]
+from pmbm.arrays import FloatArray
 
 _CORNER_SIGNS = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
 """Front left, rear left, rear right, front right, as shares of length and width:

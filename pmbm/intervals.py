@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import gammaincinv, ndtri, stdtr, stdtrit
 
-FloatArray = NDArray[np.float64]
+from pmbm.arrays import FloatArray
+
 Ends = tuple[float, float]
 
 LEVEL: Final = 0.95

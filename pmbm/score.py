@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pmbm.arrays import FloatArray
 from pmbm.durable import replace_text
 from pmbm.errors import InputError, nearest_hint
 from pmbm.types import Detections, Label
 from pmbm.validation import Checker, equal_fields
 
-FloatArray = NDArray[np.float64]
 Scale = Literal["score", "raw_score"]
 
 _LABELS = len(Label)

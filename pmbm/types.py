@@ -24,6 +24,7 @@ from typing import Any, Final, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmbm.arrays import BoolArray, FloatArray, IntArray
 from pmbm.errors import NOT_YET_CONFIRMED, InputError
 from pmbm.geometry import normal_density, normal_in_polygon
 from pmbm.labels import Label
@@ -44,10 +45,6 @@ __all__ = [
     "TrackSequence",
     "Tracks",
 ]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 CLUTTER: Final = -1
 """In `Recording.origin`: this detection comes from no object."""

@@ -15,11 +15,11 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import numpy as np
 from numpy.typing import NDArray
 
+from pmbm.arrays import FloatArray
 from pmbm.errors import InputError, nearest_hint
 from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
 
-FloatArray = NDArray[np.float64]
 _LAST_LABEL = int(max(Label))
 """Labels are numbered from 0 on without a gap."""
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from pmbm.geometry import centre_distance
-from pmbm.metrics.clear import clear_matches
-from pmbm.metrics.scene import scene_of
+from pmbm.metrics.core.clear_matching import clear_matches
+from pmbm.metrics.core.scene import scene_of
 from pmbm.types import CLUTTER, GroundTruth, Recording, Tracks, TrackSequence
 
 MISS_DISTANCE = 4.0

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli import dataset_options
 from pmbm.cli.many import ManyValues
-from pmbm.cli.track import FOLDER, ROOT
 
 if TYPE_CHECKING:
-    from pmbm.cli.dataset_scores import Rule, Scores
     from pmbm.datasets import Dataset
     from pmbm.metrics import Evaluation
+    from pmbm.metrics.benchmarks.rules import ScoringRule
     from pmbm.study import ConfiguredTracker, Difference
     from pmbm.types import Label
 
@@ -25,12 +25,12 @@ Runs = dict[str, dict[str, "list[Evaluation]"]]
 
 
 @click.command(cls=ManyValues)
-@click.argument("dataset_name", metavar="DATASET")
-@click.option("--root", type=ROOT, required=True, help="The dataset's folder, with its truth.")
-@click.option("--detections", required=True, metavar="PATH", help="As for pmbm track.")
-@click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
-@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
-@click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")
+@dataset_options.dataset
+@dataset_options.root("The dataset's folder, with its truth.")
+@dataset_options.detections("As for pmbm track.")
+@dataset_options.poses
+@dataset_options.classes
+@dataset_options.sequences
 @click.option(
     "--trackers",
     multiple=True,
@@ -47,10 +47,10 @@ Runs = dict[str, dict[str, "list[Evaluation]"]]
     "--ego-motion", is_flag=True, help="Also each tracker without the poses: what they are worth."
 )
 @click.option("--metric", help="One of the rule's, to compare by.  [default: its first]")
-@click.option("--rule", help="One of the dataset's own.  [default: its first]")
+@dataset_options.rule
 @click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
 @click.option("--markdown", metavar="FILE|-", help="Write the tables as Markdown.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@dataset_options.jobs
 def command(
     dataset_name: str,
     root: Path,
@@ -82,21 +82,24 @@ def command(
     from pmbm.durable import replace_text
     from pmbm.errors import InputError, nearest_hint
 
-    by = rule_of(dataset_name, rule)
+    dataset = open_dataset(
+        dataset_name, root=root, detections=detections, classes=classes or None, poses=poses
+    )
+    by = rule_of(dataset, rule)
     metric = metric or next(iter(by.shown))
     if metric not in by.shown:
         hint = nearest_hint(metric, by.shown, "metric")
         raise InputError(f"the rule has no '{metric}'", field="--metric", hint=hint)
     if ego_motion and poses is None:
         raise InputError("without poses there is nothing to leave out", field="--poses")
-    options: dict[str, Any] = {"root": root, "detections": detections, "classes": classes or None}
-    dataset = open_dataset(dataset_name, **options, poses=poses)
     names = list(dict.fromkeys(sequences)) or dataset.sequences()
     entries = _configured(dataset, dataset_name, list(dict.fromkeys(trackers)), published)
-    runs = _run(dataset_name, dataset, names, entries, rule, jobs)
+    runs = _run(dataset, names, entries, rule, jobs)
     if ego_motion:
-        standing = open_dataset(dataset_name, **options)
-        for kind, found in _run(dataset_name, standing, names, entries, rule, jobs).items():
+        standing = open_dataset(
+            dataset_name, root=root, detections=detections, classes=classes or None
+        )
+        for kind, found in _run(standing, names, entries, rule, jobs).items():
             runs[kind] |= {f"{name}{WITHOUT_POSES}": each for name, each in found.items()}
     tables = [_table(kind, found, by, metric) for kind, found in runs.items()]
     title = f"{dataset_name}: {by.says}, online, sequences {' '.join(names)}"
@@ -116,7 +119,7 @@ class _Table:
     first less each other one, or of one without poses, itself with them less that."""
 
     kind: str
-    scores: Mapping[str, Scores]
+    scores: Mapping[str, Mapping[str, float | None]]
     reasons: Mapping[str, Mapping[str, str]]
     differences: Mapping[str, Difference]
 
@@ -176,7 +179,6 @@ def _configured(
 
 
 def _run(
-    dataset_name: str,
     dataset: Dataset,
     names: Sequence[str],
     entries: Mapping[str, Mapping[Label, ConfiguredTracker]],
@@ -187,7 +189,7 @@ def _run(
     from pmbm.cli.track import spread
 
     keys = [(tracker, name) for tracker in entries for name in names]
-    tasks = [(dataset_name, dataset, name, entries[tracker], rule) for tracker, name in keys]
+    tasks = [(dataset, name, entries[tracker], rule) for tracker, name in keys]
     scored = dict(zip(keys, spread(score_run, tasks, jobs, "runs"), strict=True))
     return {
         kind: {tracker: [scored[tracker, name][kind] for name in names] for tracker in entries}
@@ -198,7 +200,7 @@ def _run(
 def _table(
     kind: str,
     runs: Mapping[str, list[Evaluation]],
-    by: Rule,
+    by: ScoringRule,
     metric: str,
 ) -> _Table:
     from pmbm.study import jackknife_difference
@@ -211,7 +213,7 @@ def _table(
 
     return _Table(
         kind=kind,
-        scores={tracker: by.scores(found) for tracker, found in runs.items()},
+        scores={tracker: by.figures(found) for tracker, found in runs.items()},
         reasons={tracker: by.reasons(found) for tracker, found in runs.items()},
         differences={
             other: jackknife_difference(against(other), runs[other], name) for other in others

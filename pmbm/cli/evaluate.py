@@ -5,28 +5,26 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from pmbm.cli import dataset_options
 from pmbm.cli.many import ManyValues
-from pmbm.cli.track import ROOT
 
-if TYPE_CHECKING:
-    from pmbm.cli.dataset_scores import Scores
+Figures = Mapping[str, "float | None"]
 
 
 @click.command(cls=ManyValues)
-@click.argument("dataset_name", metavar="DATASET")
-@click.option("--root", type=ROOT, required=True, help="The dataset's folder, with its truth.")
+@dataset_options.dataset
+@dataset_options.root("The dataset's folder, with its truth.")
 @click.option(
     "--results",
     type=click.Path(path_type=Path),
     required=True,
     help="What a tracker wrote: a folder, or what pmbm submit packs it into.",
 )
-@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
-@click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")
+@dataset_options.classes
+@dataset_options.sequences
 @click.option(
     "--rule",
     metavar="NAME",
@@ -34,7 +32,7 @@ if TYPE_CHECKING:
 )
 @click.option("--each", is_flag=True, help="A row for every sequence, too.")
 @click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@dataset_options.jobs
 def command(
     dataset_name: str,
     root: Path,
@@ -58,17 +56,17 @@ def command(
     from pmbm.datasets import open_dataset
 
     dataset = open_dataset(dataset_name, root=root, classes=classes or None)
-    by = rule_of(dataset_name, rule)
+    by = rule_of(dataset, rule)
     names = list(dict.fromkeys(sequences)) or dataset.sequences()
     pairs = [(kind, name) for kind in dataset.classes for name in names]
-    tasks = [(dataset_name, dataset, name, kind, results, rule) for kind, name in pairs]
+    tasks = [(dataset, name, kind, results, rule) for kind, name in pairs]
     scored = dict(zip(pairs, spread(score_sequence, tasks, jobs, "sequences"), strict=True))
-    table: dict[str, dict[str, Scores]] = {}
+    table: dict[str, dict[str, Figures]] = {}
     reasons: dict[str, dict[str, dict[str, str]]] = {}
     for kind in dataset.classes:
         parts = {"all": names} | ({name: [name] for name in names} if each else {})
         runs = {part: [scored[kind, name] for name in own] for part, own in parts.items()}
-        table[kind] = {part: by.scores(found) for part, found in runs.items()}
+        table[kind] = {part: by.figures(found) for part, found in runs.items()}
         reasons[kind] = {part: by.reasons(found) for part, found in runs.items()}
     if json_file is not None:
         figures = {"dataset": dataset_name, "rule": by.says, "scores": table, "reasons": reasons}
@@ -92,7 +90,7 @@ def write_json(file: str, figures: Mapping[str, object]) -> None:
         replace_text(Path(file), text + "\n")
 
 
-def _show(title: str, table: Mapping[str, Mapping[str, Scores]]) -> None:
+def _show(title: str, table: Mapping[str, Mapping[str, Figures]]) -> None:
     from rich.console import Console
     from rich.table import Table
 

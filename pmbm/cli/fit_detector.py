@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli import dataset_options
+from pmbm.cli.dataset_options import FOLDER
 from pmbm.cli.many import ManyValues
 
 if TYPE_CHECKING:
@@ -17,22 +19,18 @@ if TYPE_CHECKING:
     from sim.detector import DetectorModel
     from sim.likeness import Comparison, Figure
 
-FOLDER = click.Path(path_type=Path, file_okay=False)
 _SEED = 7
 
 
 @click.command(cls=ManyValues)
-@click.argument("dataset_name", metavar="DATASET")
-@click.option("--root", type=FOLDER, required=True, help="The dataset's folder.")
-@click.option(
-    "--detections",
-    required=True,
-    metavar="PATH",
-    help="Detections; {class} stands for the class's name where each class has its own.",
+@dataset_options.dataset
+@dataset_options.root("The dataset's folder.", kind=FOLDER)
+@dataset_options.detections(
+    "Detections; {class} stands for the class's name where each class has its own."
 )
-@click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
-@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
-@click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")
+@dataset_options.poses
+@dataset_options.classes
+@dataset_options.sequences
 @click.option(
     "--held-back", multiple=True, metavar="NAME...", help="Sequences to judge the fit by, not used."
 )

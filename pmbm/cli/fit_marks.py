@@ -9,28 +9,23 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli import dataset_options
+from pmbm.cli.dataset_options import FILE, FOLDER
 from pmbm.cli.many import ManyValues
-from pmbm.cli.track import FOLDER
 
 if TYPE_CHECKING:
     from pmbm.datasets import Dataset
     from pmbm.filter import PMBMConfig, ScoreLevels
 
-FILE = click.Path(path_type=Path, dir_okay=False)
-
 
 @click.command(cls=ManyValues)
-@click.argument("dataset_name", metavar="DATASET")
-@click.option("--root", type=FOLDER, required=True, help="The dataset's folder, with its labels.")
-@click.option(
-    "--detections",
-    required=True,
-    metavar="PATH",
-    help="Detections with raw scores; {class} stands for the class's name where each class has its "
-    "own.",
+@dataset_options.dataset
+@dataset_options.root("The dataset's folder, with its labels.", kind=FOLDER)
+@dataset_options.detections(
+    "Detections with raw scores; {class} stands for the class's name where each class has its own."
 )
-@click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
-@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
+@dataset_options.poses
+@dataset_options.classes
 @click.option("--sequences", multiple=True, required=True, metavar="NAME...", help="To fit to.")
 @click.option(
     "--together",

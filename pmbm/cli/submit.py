@@ -6,17 +6,18 @@ from pathlib import Path
 
 import click
 
+from pmbm.cli import dataset_options
+from pmbm.cli.dataset_options import FOLDER
 from pmbm.cli.many import ManyValues
-from pmbm.cli.track import FOLDER, ROOT
 
 
 @click.command(cls=ManyValues)
-@click.argument("dataset_name", metavar="DATASET")
-@click.option("--root", type=ROOT, required=True, help="The dataset's folder.")
+@dataset_options.dataset
+@dataset_options.root("The dataset's folder.")
 @click.option("--results", type=FOLDER, required=True, help="What pmbm track wrote.")
-@click.option("--detections", metavar="PATH", help="As for pmbm track, where there are no labels.")
-@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
-@click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")
+@dataset_options.detections("As for pmbm track, where there are no labels.", required=False)
+@dataset_options.classes
+@dataset_options.sequences
 @click.option("--method", help="Waymo: the method's name, at most 25 characters.")
 @click.option("--account", help="Waymo: the account that submits.")
 def command(

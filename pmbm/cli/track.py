@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli import dataset_options
+from pmbm.cli.dataset_options import FOLDER
 from pmbm.cli.many import ManyValues
 
 if TYPE_CHECKING:
@@ -16,23 +18,16 @@ if TYPE_CHECKING:
     from pmbm.study.configured import ConfiguredTracker
     from pmbm.types import Label, Recording, TrackSequence
 
-FOLDER = click.Path(path_type=Path, file_okay=False)
-ROOT = click.Path(path_type=Path)
-"""A folder; of Waymo, also the one file that holds the truth."""
-
 
 @click.command(cls=ManyValues)
-@click.argument("dataset_name", metavar="DATASET")
-@click.option("--root", type=ROOT, required=True, help="The dataset's folder.")
-@click.option(
-    "--detections",
-    required=True,
-    metavar="PATH",
-    help="Detections; {class} stands for the class's name where each class has its own.",
+@dataset_options.dataset
+@dataset_options.root("The dataset's folder.")
+@dataset_options.detections(
+    "Detections; {class} stands for the class's name where each class has its own."
 )
-@click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
-@click.option("--classes", multiple=True, metavar="CLASS...", help="[default: all scored ones]")
-@click.option("--sequences", multiple=True, metavar="NAME...", help="[default: all there are]")
+@dataset_options.poses
+@dataset_options.classes
+@dataset_options.sequences
 @click.option("--out", type=FOLDER, required=True, help="Folder for the results.")
 @click.option(
     "--tracker",
@@ -55,7 +50,7 @@ ROOT = click.Path(path_type=Path)
     show_default=True,
     help="Report each frame as it comes, or look back from the end.",
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@dataset_options.jobs
 def command(
     dataset_name: str,
     root: Path,

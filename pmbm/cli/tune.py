@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli import dataset_options
+from pmbm.cli.dataset_options import FILE
 from pmbm.cli.many import ManyValues
 
 if TYPE_CHECKING:
@@ -16,9 +18,6 @@ if TYPE_CHECKING:
     from pmbm.study import ConfiguredTracker
     from pmbm.tune import Progress, Space, Tuned
 
-FOLDER = click.Path(path_type=Path, file_okay=False)
-ROOT = click.Path(path_type=Path)
-FILE = click.Path(path_type=Path, dir_okay=False)
 _OF_SCENARIOS = ("recordings", "held_back")
 _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mode")
 
@@ -26,9 +25,9 @@ _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mod
 @click.command(cls=ManyValues)
 @click.argument("scenarios", nargs=-1, metavar="[SCENARIO|FILE.toml]...")
 @click.option("--dataset", "dataset_name", metavar="NAME", help="Instead of scenarios.")
-@click.option("--root", type=ROOT, help="The dataset's folder, with its truth.")
-@click.option("--detections", metavar="PATH", help="As for pmbm track.")
-@click.option("--poses", type=FOLDER, help="Poses, where the dataset has them elsewhere.")
+@dataset_options.root("The dataset's folder, with its truth.", required=False)
+@dataset_options.detections("As for pmbm track.", required=False)
+@dataset_options.poses
 @click.option("--class", "kind", metavar="CLASS", help="The dataset's class to tune for.")
 @click.option(
     "--sequences",
@@ -36,7 +35,7 @@ _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mod
     metavar="NAME...",
     help="[default: all but those kept for reporting]",
 )
-@click.option("--rule", help="One of the dataset's own.  [default: its first]")
+@dataset_options.rule
 @click.option("--mode", type=click.Choice(["online", "batch"]), default="online", show_default=True)
 @click.option(
     "--tracker", "tracker_name", default="pmbm", show_default=True, metavar="NAME|MODULE:FACTORY"
@@ -84,7 +83,7 @@ _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mod
     help="Sets of parameters to try, the defaults first.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@dataset_options.jobs
 @click.option("--out", type=FILE, metavar="FILE.toml", help="[default: standard output]")
 @click.pass_context
 def command(

@@ -125,12 +125,10 @@ class Simulated:
 class Logged:
     """A dataset's sequences and one class, scored together by one of the dataset's rules.
 
-    name : of the dataset.
     recordings : sequence -> what was recorded, without truth.
     tracker, where : as for `Simulated`.
     """
 
-    name: str
     dataset: Dataset
     recordings: Mapping[str, Recording]
     rule: str | None
@@ -168,7 +166,7 @@ class Logged:
             if given is None:
                 raise InputError("missing option", field=field)
         dataset = open_dataset(name, **options, classes=(kind,))
-        by = rule_of(name, rule)
+        by = rule_of(dataset, rule)
         metric = metric or next(iter(by.shown))
         if metric not in by.shown:
             hint = nearest_hint(metric, by.shown, "metric")
@@ -184,10 +182,9 @@ class Logged:
             labelled = (with_origins(dataset.recording(each)) for each in names)
             tracker = fitted_tracker(tracker, labelled, label)
         # Which way is better is said with a score.
-        first = _score_sequence(name, dataset, names[0], recordings[names[0]], tracker, rule, mode)
+        first = _score_sequence(dataset, names[0], recordings[names[0]], tracker, rule, mode)
         maximise = _more_is_better(metric, first[by.shown[metric]].direction)
         return cls(
-            name=name,
             dataset=dataset,
             recordings=recordings,
             rule=rule,
@@ -202,16 +199,16 @@ class Logged:
     def value(self, tracker: ConfiguredTracker) -> float | None:
         """What is made better."""
         tasks = [
-            (self.name, self.dataset, sequence, recording, tracker, self.rule, self.mode)
+            (self.dataset, sequence, recording, tracker, self.rule, self.mode)
             for sequence, recording in self.recordings.items()
         ]
         scored = list(self.spread(_score_sequence, *zip(*tasks, strict=True)))
-        return combine(scored)[rule_of(self.name, self.rule).shown[self.metric]].value
+        return combine(scored)[rule_of(self.dataset, self.rule).shown[self.metric]].value
 
     @property
     def advice(self) -> str:
         """Where to see whether the gain holds elsewhere."""
-        reserved = " ".join(REPORTING_SEQUENCES.get(self.name, ()))
+        reserved = " ".join(REPORTING_SEQUENCES.get(self.dataset.name, ()))
         others = f"those kept for reporting: {reserved}" if reserved else "others"
         return (
             "These sequences cannot say whether the gain holds elsewhere: compare with the "
@@ -230,7 +227,6 @@ def _score(
 
 
 def _score_sequence(
-    name: str,
     dataset: Dataset,
     sequence: str,
     recording: Recording,
@@ -240,7 +236,7 @@ def _score_sequence(
 ) -> Evaluation:
     """One sequence of the one class."""
     trackers = {Label(dataset.labels[0]): tracker}
-    (scored,) = score_run(name, dataset, sequence, trackers, rule, mode, recording).values()
+    (scored,) = score_run(dataset, sequence, trackers, rule, mode, recording).values()
     return scored
 
 

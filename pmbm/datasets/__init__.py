@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from pmbm.datasets.frames import Comparison
 from pmbm.datasets.origins import with_origins
 from pmbm.errors import InputError, nearest_hint
+from pmbm.metrics.benchmarks.rules import ComparedSequence, ScoringRule
 from pmbm.types import Recording, TrackSequence
 
-__all__ = ["DATASETS", "Dataset", "load", "open_dataset", "with_origins"]
+__all__ = ["DATASETS", "Dataset", "adapter", "load", "open_dataset", "with_origins"]
 
 DATASETS: Final = {
     "argoverse1": "pmbm.datasets.argoverse1:Argoverse1",
@@ -27,6 +27,14 @@ DATASETS: Final = {
 
 class Dataset(Protocol):
     """What every adapter offers; it reads when it is asked, a sequence at a time."""
+
+    @property
+    def name(self) -> str:
+        """That of `DATASETS`."""
+
+    @property
+    def rules(self) -> Mapping[str, ScoringRule]:
+        """The rules by which results are scored, by name; the first is the default."""
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -55,8 +63,19 @@ class Dataset(Protocol):
     def submit(self, sequences: Sequence[str], folder: Path) -> Path:
         """What `write` wrote of these sequences as the one file to hand in, in the same folder."""
 
-    def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
+    def compared(self, sequence: str, kind: str, folder: Path) -> ComparedSequence:
         """Truth and a result of one class, as the dataset's own rules compare them."""
+
+
+def adapter(name: str) -> Any:
+    """The class that reads a dataset.
+
+    Raises InputError for an unknown dataset, with the nearest valid name.
+    """
+    if name not in DATASETS:
+        raise InputError(f"no dataset '{name}'", hint=nearest_hint(name, DATASETS, "dataset"))
+    module, _, attribute = DATASETS[name].partition(":")
+    return getattr(importlib.import_module(module), attribute)
 
 
 def open_dataset(name: str, **options: Any) -> Dataset:
@@ -65,11 +84,8 @@ def open_dataset(name: str, **options: Any) -> Dataset:
     Raises InputError for an unknown dataset or option, or for a missing one, with the nearest valid
     name.
     """
-    if name not in DATASETS:
-        raise InputError(f"no dataset '{name}'", hint=nearest_hint(name, DATASETS, "dataset"))
-    module, _, attribute = DATASETS[name].partition(":")
-    adapter = getattr(importlib.import_module(module), attribute)
-    known = {field.name: field for field in dataclasses.fields(adapter)}
+    made = adapter(name)
+    known = {field.name: field for field in dataclasses.fields(made)}
     given = {key: value for key, value in options.items() if value is not None}
     for key in given:
         if key not in known:
@@ -79,7 +95,7 @@ def open_dataset(name: str, **options: Any) -> Dataset:
     for key, field in known.items():
         if key not in given and field.default is dataclasses.MISSING:
             raise InputError(f"{name} needs an option", field=key)
-    dataset: Dataset = adapter(**given)
+    dataset: Dataset = made(**given)
     return dataset
 
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from pmbm.datasets.files import (
     LARGEST_SIZE,
@@ -25,11 +25,10 @@ from pmbm.datasets.files import (
     text_value,
     write_zip,
 )
-from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
     Box,
+    LogFolder,
     Timeline,
-    checked_classes,
     each_name_once,
     log_comparison,
     log_recording,
@@ -39,6 +38,8 @@ from pmbm.datasets.logs import (
 from pmbm.datasets.poses import Pose, matrix_yaw, pose, quaternion_matrix, yaw_quaternion
 from pmbm.durable import replace_text
 from pmbm.errors import nearest_hint
+from pmbm.metrics.benchmarks.argoverse1 import RULES
+from pmbm.metrics.benchmarks.rules import ComparedSequence
 from pmbm.types import Label, Recording, TrackSequence
 
 _LABELS: Final[Mapping[str, Label]] = {
@@ -68,7 +69,7 @@ _MAX_RANGE: Final = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Argoverse1:
+class Argoverse1(LogFolder):
     """Logs of a split.
 
     root : holds a folder for each log, with labels and poses.
@@ -78,23 +79,12 @@ class Argoverse1:
     World: the city's frame.  A sweep's time is that of its file's name.
     """
 
-    root: Path
-    detections: str | None = None
+    name: ClassVar = "argoverse1"
+    title: ClassVar = "Argoverse 1"
+    class_labels: ClassVar = _LABELS
+    rules: ClassVar = RULES
+
     classes: tuple[str, ...] = SCORED
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "root", Path(self.root))
-        object.__setattr__(self, "classes", checked_classes(self.classes, _LABELS, "Argoverse 1"))
-
-    @property
-    def known_classes(self) -> tuple[str, ...]:
-        """All classes that may be asked for."""
-        return tuple(_LABELS)
-
-    @property
-    def labels(self) -> tuple[int, ...]:
-        """The labels of the classes asked for, in their order."""
-        return tuple(_LABELS[name] for name in self.classes)
 
     def sequences(self) -> list[str]:
         """The names of all logs."""
@@ -147,7 +137,7 @@ class Argoverse1:
         timeline = self._known_timeline(sequence)
         return log_tracks(timeline, self._results(sequence, timeline, folder), _LABELS)
 
-    def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
+    def compared(self, sequence: str, kind: str, folder: Path) -> ComparedSequence:
         """Labels and results of one class in the vehicle's frame.  A sweep without a result file is
         refused: left out, as the official script leaves it out, its truth would not count."""
         labelled = self._files(self.root, sequence)

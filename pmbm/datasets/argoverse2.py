@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from pmbm.datasets.columns import (
     Columns,
@@ -24,11 +24,10 @@ from pmbm.datasets.files import (
     safe_name,
     text_value,
 )
-from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
     Box,
+    LogFolder,
     Timeline,
-    checked_classes,
     each_name_once,
     log_comparison,
     log_recording,
@@ -37,6 +36,8 @@ from pmbm.datasets.logs import (
 )
 from pmbm.datasets.poses import Pose, matrix_yaw, pose, quaternion_matrix, yaw_quaternion
 from pmbm.errors import nearest_hint
+from pmbm.metrics.benchmarks.argoverse2 import RULES
+from pmbm.metrics.benchmarks.rules import ComparedSequence
 from pmbm.types import Label, Recording, TrackSequence
 
 _LABELS: Final[Mapping[str, Label]] = {
@@ -83,7 +84,7 @@ _MAX_RANGE: Final = 150.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Argoverse2:
+class Argoverse2(LogFolder):
     """Logs of a split.
 
     root : holds a folder for each log, with its poses and, for truth, its annotations.
@@ -96,24 +97,12 @@ class Argoverse2:
     as a note; where they have none, a sweep without a row is one without tracks.
     """
 
-    root: Path
-    detections: str | None = None
+    name: ClassVar = "argoverse2"
+    title: ClassVar = "Argoverse 2"
+    class_labels: ClassVar = _LABELS
+    rules: ClassVar = RULES
+
     classes: tuple[str, ...] = DEFAULT
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "root", Path(self.root))
-        classes = checked_classes(self.classes, _LABELS, "Argoverse 2")
-        object.__setattr__(self, "classes", classes)
-
-    @property
-    def known_classes(self) -> tuple[str, ...]:
-        """All classes that may be asked for."""
-        return tuple(_LABELS)
-
-    @property
-    def labels(self) -> tuple[int, ...]:
-        """The labels of the classes asked for, in their order."""
-        return tuple(_LABELS[name] for name in self.classes)
 
     def sequences(self) -> list[str]:
         """The names of all logs: those with poses."""
@@ -198,7 +187,7 @@ class Argoverse2:
         timeline = self._timeline(sequence, stamps)
         return log_tracks(timeline, _frames(results, timeline), _LABELS)
 
-    def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
+    def compared(self, sequence: str, kind: str, folder: Path) -> ComparedSequence:
         """Annotations and results of one class in the vehicle's frame.
 
         Raises InputError unless the list of the results' frames, or without a list what rows there

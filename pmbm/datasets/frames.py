@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pmbm.datasets.files import Place
 from pmbm.datasets.poses import Pose
 from pmbm.types import (
     BoolArray,
@@ -166,32 +165,6 @@ def recording(
         object_name=object_name,
         provenance=provenance,
     )
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Comparison:
-    """One sequence and class as the dataset's own rules compare them, frame by frame, in whatever
-    frame its boxes are given; rows of a frame in order of id.
-
-    truth, tracks : F frames each; truth that does not count is not observable.
-    excused (K,) : over all tracks in order; where unmatched, not false.
-    truth_image (N,4), tracks_image (K,4) : left, top, right, bottom in the image, pixels, or None.
-    hard (N,) or None : of the more difficult kind.
-    sensor (F,3) or None : the sensor's place in the world.
-    confidence (K,) or None : the tracks' scores as written, where they are no probabilities.
-    image_only : where the first track stands that has an image box alone: its place and size here
-        are stand-ins; None where all have places.
-    """
-
-    truth: tuple[GroundTruth, ...]
-    tracks: tuple[Tracks, ...]
-    excused: BoolArray
-    truth_image: FloatArray | None = None
-    tracks_image: FloatArray | None = None
-    hard: BoolArray | None = None
-    sensor: FloatArray | None = None
-    confidence: FloatArray | None = None
-    image_only: Place | None = None
 
 
 def track_frames(

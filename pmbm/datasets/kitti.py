@@ -6,13 +6,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
 from pmbm.datasets.files import Place, prepare_folder, write_zip
 from pmbm.datasets.frames import (
-    Comparison,
     SourceBoxes,
     box_corners,
     merge,
@@ -38,6 +37,8 @@ from pmbm.datasets.poses import STANDING, Pose
 from pmbm.durable import replace_text
 from pmbm.errors import InputError, nearest_hint
 from pmbm.geometry import wrap_angle
+from pmbm.metrics.benchmarks.kitti import RULES
+from pmbm.metrics.benchmarks.rules import ComparedSequence
 from pmbm.types import (
     BoolArray,
     FloatArray,
@@ -104,6 +105,9 @@ class Kitti:
 
     World: the first camera's place, x forward, y left, z up; one frame a tenth of a second.
     """
+
+    name: ClassVar = "kitti"
+    rules: ClassVar = RULES
 
     root: Path
     detections: str | None = None
@@ -276,7 +280,7 @@ class Kitti:
         """A result file in the dataset's own terms."""
         return read_objects(Path(folder) / f"{_checked(sequence)}.txt", scored=True)
 
-    def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
+    def compared(self, sequence: str, kind: str, folder: Path) -> ComparedSequence:
         """Labels and results of one class in the camera's frame, by the benchmark's rules: truth of
         neighbouring classes, truncated, or occluded beyond judgement is not observable; results no
         higher than 25 pixels, or more than half inside a DontCare region, are excused.  Where there
@@ -297,11 +301,13 @@ class Kitti:
         results = results.by_id()
         flat = None
         if not results.solid.all():
-            flat = _first(results, ~results.solid, Path(folder) / f"{sequence}.txt")
+            flat = _first(results, ~results.solid, Path(folder) / f"{sequence}.txt").error(
+                "a result without a 3D box", field="height", expected="above 0"
+            )
             results = replace(results, size=np.where(results.solid[:, None], results.size, 1.0))
         counted = np.array([name == kind for name in truth.type], dtype=bool)
         standing = (STANDING,) * frames
-        return Comparison(
+        return ComparedSequence(
             truth=truth_frames(
                 _times(frames),
                 standing,

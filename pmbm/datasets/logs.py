@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
 from pmbm.datasets.files import Place
 from pmbm.datasets.frames import (
-    Comparison,
     SourceBoxes,
     box_table,
     named_labels,
@@ -21,6 +21,7 @@ from pmbm.datasets.frames import (
 )
 from pmbm.datasets.poses import STANDING, Pose
 from pmbm.errors import InputError, nearest_hint
+from pmbm.metrics.benchmarks.rules import ComparedSequence
 from pmbm.types import FloatArray, IntArray, Label, Recording, Site, Tracks, TrackSequence
 
 
@@ -103,6 +104,40 @@ def checked_classes(
     return tuple(given)
 
 
+@dataclass(frozen=True, kw_only=True)
+class LogFolder:
+    """What every adapter of driving logs is made with.
+
+    root : the dataset's folder.
+    detections : where the detections are; None for none.
+    classes : of `class_labels`, any that differ in label.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    """As its makers write it, for messages."""
+    class_labels: ClassVar[Mapping[str, Label]]
+
+    root: Path
+    detections: str | None = None
+    classes: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "root", Path(self.root))
+        checked = checked_classes(self.classes, self.class_labels, self.title)
+        object.__setattr__(self, "classes", checked)
+
+    @property
+    def known_classes(self) -> tuple[str, ...]:
+        """All classes that may be asked for."""
+        return tuple(self.class_labels)
+
+    @property
+    def labels(self) -> tuple[int, ...]:
+        """The labels of the classes asked for, in their order."""
+        return tuple(self.class_labels[name] for name in self.classes)
+
+
 def each_name_once(boxes: Iterable[Box], place: Place, field: str) -> list[Box]:
     """The boxes; InputError where two of the frame have one name."""
     seen: set[str] = set()
@@ -164,7 +199,7 @@ def log_tracks(timeline: Timeline, results: Frames, labels: Mapping[str, Label])
 
 def log_comparison(
     timeline: Timeline, truth: Frames, results: Frames, kind: str, labels: Mapping[str, Label]
-) -> Comparison:
+) -> ComparedSequence:
     """Truth and results of one class in the frame that the dataset gives boxes in."""
     sides = []
     for frames in (truth, results):
@@ -182,7 +217,7 @@ def log_comparison(
     tracks = track_frames(
         timeline.times, standing, [_source(frame, labels) for frame in track_rows], ids=track_ids
     )
-    return Comparison(
+    return ComparedSequence(
         truth=compared,
         tracks=tuple(tracks),
         excused=np.array([box.excused for frame in track_rows for box in frame], dtype=bool),

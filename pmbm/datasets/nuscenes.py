@@ -8,14 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from pmbm.datasets.files import Place, prepare_folder, result_file, safe_name
-from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
     Box,
+    LogFolder,
     Timeline,
-    checked_classes,
     log_comparison,
     log_recording,
     log_tracks,
@@ -31,6 +30,8 @@ from pmbm.datasets.nuscenes_tables import (
 from pmbm.datasets.poses import yaw_quaternion
 from pmbm.durable import replace_text
 from pmbm.errors import InputError
+from pmbm.metrics.benchmarks.nuscenes import RULES
+from pmbm.metrics.benchmarks.rules import ComparedSequence
 from pmbm.types import Recording, TrackSequence
 
 CLASSES: Final = tuple(LABELS)
@@ -45,7 +46,7 @@ _META: Final = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class NuScenes:
+class NuScenes(LogFolder):
     """Scenes of a version.
 
     root : the folder of the tables, such as `v1.0-mini`.
@@ -57,23 +58,12 @@ class NuScenes:
     form, one a scene; `submit` joins them.
     """
 
-    root: Path
-    detections: str | None = None
+    name: ClassVar = "nuscenes"
+    title: ClassVar = "nuScenes"
+    class_labels: ClassVar = LABELS
+    rules: ClassVar = RULES
+
     classes: tuple[str, ...] = CLASSES
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "root", Path(self.root))
-        object.__setattr__(self, "classes", checked_classes(self.classes, LABELS, "nuScenes"))
-
-    @property
-    def known_classes(self) -> tuple[str, ...]:
-        """All classes that may be asked for."""
-        return CLASSES
-
-    @property
-    def labels(self) -> tuple[int, ...]:
-        """The labels of the classes asked for, in their order."""
-        return tuple(LABELS[name] for name in self.classes)
 
     def sequences(self) -> list[str]:
         """The names of all scenes."""
@@ -130,7 +120,7 @@ class NuScenes:
         tokens, timeline = self._frames(sequence)
         return log_tracks(timeline, self._results(sequence, tokens, folder), LABELS)
 
-    def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
+    def compared(self, sequence: str, kind: str, folder: Path) -> ComparedSequence:
         """Annotations and results of one class in the map's frame, what the benchmark does not
         count left out on both sides."""
         tokens, timeline = self._frames(sequence)

@@ -6,16 +6,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from pmbm.datasets.files import Place, prepare_folder, result_file, safe_name
-from pmbm.datasets.frames import Comparison
 from pmbm.datasets.logs import (
     Box,
+    LogFolder,
     Timeline,
-    checked_classes,
     log_comparison,
     log_recording,
     log_tracks,
@@ -36,6 +35,8 @@ from pmbm.datasets.wire import encode
 from pmbm.durable import replace_bytes
 from pmbm.errors import InputError, nearest_hint
 from pmbm.geometry import iou
+from pmbm.metrics.benchmarks.rules import ComparedSequence
+from pmbm.metrics.benchmarks.waymo import RULES
 from pmbm.types import Label, Recording, TrackSequence
 
 _LABELS: Final[Mapping[str, Label]] = {
@@ -53,7 +54,7 @@ _PER_SECOND: Final = 10**6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Waymo:
+class Waymo(LogFolder):
     """Segments of a split.
 
     root : a folder with `vehicle_pose` and, for truth, `lidar_box`, a parquet file a segment in
@@ -67,23 +68,12 @@ class Waymo:
     metrics.Objects files, one a segment, which `submit` joins, or one file for all segments.
     """
 
-    root: Path
-    detections: str | None = None
+    name: ClassVar = "waymo"
+    title: ClassVar = "Waymo"
+    class_labels: ClassVar = _LABELS
+    rules: ClassVar = RULES
+
     classes: tuple[str, ...] = SCORED
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "root", Path(self.root))
-        object.__setattr__(self, "classes", checked_classes(self.classes, _LABELS, "Waymo"))
-
-    @property
-    def known_classes(self) -> tuple[str, ...]:
-        """All classes that may be asked for."""
-        return tuple(_LABELS)
-
-    @property
-    def labels(self) -> tuple[int, ...]:
-        """The labels of the classes asked for, in their order."""
-        return tuple(_LABELS[name] for name in self.classes)
 
     def sequences(self) -> list[str]:
         """The names of all segments."""
@@ -148,7 +138,7 @@ class Waymo:
         path = self._result_path(sequence, folder)
         return log_tracks(timeline, _frames(self._results(path, sequence), timeline, path), _LABELS)
 
-    def compared(self, sequence: str, kind: str, folder: Path) -> Comparison:
+    def compared(self, sequence: str, kind: str, folder: Path) -> ComparedSequence:
         """Labels and results of one class in the vehicle's frame, without labels that are not
         observable."""
         labelled = {

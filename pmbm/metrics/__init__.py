@@ -11,11 +11,11 @@ behind them are pure and may be used alone, on a `scene.Scene` of truth and trac
 """
 
 from pmbm.metrics.catalogue import DEFAULT_METRICS
+from pmbm.metrics.core.parameters import MetricParameters
+from pmbm.metrics.core.result import Evaluation, MetricValue, combine
 from pmbm.metrics.evaluation import evaluate
-from pmbm.metrics.gospa import Gospa, gospa
-from pmbm.metrics.ospa import Ospa, ospa
-from pmbm.metrics.parameters import MetricParameters
-from pmbm.metrics.result import Evaluation, MetricValue, combine
+from pmbm.metrics.families.gospa import Gospa, gospa
+from pmbm.metrics.families.ospa import Ospa, ospa
 
 __all__ = [
     "DEFAULT_METRICS",

@@ -15,7 +15,7 @@ import numpy as np
 from pmbm.errors import InputError
 from pmbm.metrics import evaluate
 from pmbm.metrics.catalogue import definition
-from pmbm.metrics.result import OBSERVABLE, MetricValue
+from pmbm.metrics.core.result import OBSERVABLE, MetricValue
 from pmbm.types import Recording, TrackSequence
 
 ALONGSIDE = ("gospa", "mota", "id_switches", "false_positives", "misses")

@@ -10,10 +10,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from pmbm.metrics.clear import clear_counts, clear_matches, gated_pairs
-from pmbm.metrics.identity import identity_counts
-from pmbm.metrics.ospa import ospa_series
-from pmbm.metrics.scene import Boxes, Scene
+from pmbm.metrics.core.clear_matching import clear_matches, gated_pairs
+from pmbm.metrics.core.scene import Boxes, Scene
+from pmbm.metrics.families.clear import clear_counts
+from pmbm.metrics.families.identity import identity_counts
+from pmbm.metrics.families.ospa import ospa_series
 
 FRAMES, OBJECTS, SEEDS = 200, 60, range(5)
 CUTOFF, ORDER, GATE = 10.0, 2.0, 2.0
@@ -145,7 +146,7 @@ def _point_frames(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _trackeval_data(scene: Scene) -> dict[str, Any]:
-    from pmbm.metrics.hota import distance_similarity
+    from pmbm.metrics.families.hota import distance_similarity
 
     similarity = distance_similarity(scene.pairs.distance_xyz, 2 * GATE)
     truth = [np.flatnonzero(scene.truth.frame == k) for k in range(len(scene))]

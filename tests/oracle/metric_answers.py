@@ -15,21 +15,11 @@ from typing import Any
 import numpy as np
 from metric_cases import scene_of_case
 
-from pmbm.metrics.argoverse1 import argoverse1_counts
-from pmbm.metrics.clear import clear_counts, clear_matches, gated_pairs
-from pmbm.metrics.consistency import chi2_bounds, consistency, normalised_squares
-from pmbm.metrics.gospa import gospa_series
-from pmbm.metrics.hota import distance_similarity
-from pmbm.metrics.identity import identity_counts
-from pmbm.metrics.kitti import KittiScene, kitti_counts, kitti_scores
-from pmbm.metrics.nuscenes import nuscenes_scores
-from pmbm.metrics.ospa import ospa_series
-from pmbm.metrics.scene import pair_overlap
-from pmbm.metrics.siap import siap_associations, siap_counts
-from pmbm.metrics.tgospa import tgospa
-from pmbm.metrics.trackeval import trackeval_counts, trackeval_scores
-from pmbm.metrics.trajectory import ospa2_series
-from pmbm.metrics.waymo import (
+from pmbm.metrics.benchmarks.argoverse1 import argoverse1_counts
+from pmbm.metrics.benchmarks.kitti import KittiScene, kitti_counts, kitti_scores
+from pmbm.metrics.benchmarks.nuscenes import nuscenes_scores
+from pmbm.metrics.benchmarks.trackeval import trackeval_counts, trackeval_scores
+from pmbm.metrics.benchmarks.waymo import (
     CUTOFFS,
     WaymoCounts,
     WaymoScene,
@@ -37,6 +27,17 @@ from pmbm.metrics.waymo import (
     waymo_overlap,
     waymo_scores,
 )
+from pmbm.metrics.core.clear_matching import clear_matches, gated_pairs
+from pmbm.metrics.core.scene import pair_overlap
+from pmbm.metrics.families.clear import clear_counts
+from pmbm.metrics.families.consistency import chi2_bounds, consistency, normalised_squares
+from pmbm.metrics.families.gospa import gospa_series
+from pmbm.metrics.families.hota import distance_similarity
+from pmbm.metrics.families.identity import identity_counts
+from pmbm.metrics.families.ospa import ospa_series
+from pmbm.metrics.families.ospa2 import ospa2_series
+from pmbm.metrics.families.siap import siap_associations, siap_counts
+from pmbm.metrics.families.tgospa import tgospa
 
 Case = dict[str, Any]
 RANGES = {"[0, 30)": (0.0, 30.0), "[30, 50)": (30.0, 50.0), "[50, +inf)": (50.0, np.inf)}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pmbm.metrics.scene import Boxes, Scene
+from pmbm.metrics.core.scene import Boxes, Scene
 
 HERE = Path(__file__).parent
 

@@ -11,11 +11,12 @@ import warnings
 import numpy as np
 import pytest
 
-from pmbm.metrics.clear import clear_counts, clear_matches, gated_pairs
-from pmbm.metrics.hota import distance_similarity, hota_counts
-from pmbm.metrics.identity import identity_counts
-from pmbm.metrics.scene import Boxes, Scene
-from pmbm.metrics.trackeval import trackeval_counts, trackeval_scores
+from pmbm.metrics.benchmarks.trackeval import trackeval_counts, trackeval_scores
+from pmbm.metrics.core.clear_matching import clear_matches, gated_pairs
+from pmbm.metrics.core.scene import Boxes, Scene
+from pmbm.metrics.families.clear import clear_counts
+from pmbm.metrics.families.hota import distance_similarity, hota_counts
+from pmbm.metrics.families.identity import identity_counts
 
 EVERYDAY, MANY = range(12), range(12, 300)
 

@@ -11,17 +11,18 @@ from hypothesis import strategies as st
 from metric_builders import run_of
 
 from pmbm.metrics import combine, evaluate, gospa, ospa
-from pmbm.metrics.argoverse1 import argoverse1_counts
+from pmbm.metrics.benchmarks.argoverse1 import argoverse1_counts
+from pmbm.metrics.benchmarks.kitti import KittiScene, kitti_counts
+from pmbm.metrics.benchmarks.nuscenes import nuscenes_scores
+from pmbm.metrics.benchmarks.trackeval import trackeval_counts, trackeval_scores
+from pmbm.metrics.benchmarks.waymo import WaymoScene, waymo_counts
 from pmbm.metrics.catalogue import names
-from pmbm.metrics.clear import clear_counts, clear_matches
-from pmbm.metrics.kitti import KittiScene, kitti_counts
-from pmbm.metrics.matching import best_matching, most_then_nearest
-from pmbm.metrics.nuscenes import nuscenes_scores
-from pmbm.metrics.scene import pair_overlap, scene_of
-from pmbm.metrics.tgospa import tgospa
-from pmbm.metrics.trackeval import trackeval_counts, trackeval_scores
-from pmbm.metrics.trajectory import ospa2_series
-from pmbm.metrics.waymo import WaymoScene, waymo_counts
+from pmbm.metrics.core.clear_matching import clear_matches
+from pmbm.metrics.core.matching import best_matching, most_then_nearest
+from pmbm.metrics.core.scene import pair_overlap, scene_of
+from pmbm.metrics.families.clear import clear_counts
+from pmbm.metrics.families.ospa2 import ospa2_series
+from pmbm.metrics.families.tgospa import tgospa
 
 FEWER = settings(max_examples=max(settings().max_examples // 4, 10))
 """For tests whose every example scores whole runs by every metric."""

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from pmbm.metrics.clear import clear_matches
-from pmbm.metrics.scene import scene_of
-from pmbm.metrics.testbed import occlusions
+from pmbm.metrics.core.clear_matching import clear_matches
+from pmbm.metrics.core.scene import scene_of
+from pmbm.metrics.families.occlusion import occlusions
 from pmbm.tracking import TrackerFactory, make_tracker, run
 from pmbm.types import Recording
 

@@ -82,7 +82,7 @@ OTHER_PLANTS = [
     ),
     Plant(
         "GOSPA misses whom it has matched",
-        "pmbm/metrics/gospa.py",
+        "pmbm/metrics/families/gospa.py",
         "missed_count = scene.truth.count(frames) - matched",
         "missed_count = scene.truth.count(frames) - 0 * matched",
         by="tests/unit/test_metrics.py::test_a_perfect_run",
@@ -90,7 +90,7 @@ OTHER_PLANTS = [
     ),
     Plant(
         "a switch to the same track",
-        "pmbm/metrics/clear.py",
+        "pmbm/metrics/families/clear.py",
         "switch[order[1:]] = again & other",
         "switch[order[1:]] = again",
         by="tests/unit/test_metrics.py::test_a_perfect_run",
@@ -130,7 +130,7 @@ OTHER_PLANTS = [
     ),
     Plant(
         "half an overlap in doubles is not enough for ignored truth",
-        "pmbm/metrics/trackeval.py",
+        "pmbm/metrics/benchmarks/trackeval.py",
         "near = np.flatnonzero(_similar_enough(self.similarity, least))",
         "near = np.flatnonzero(self.similarity >= least)",
         by="tests/unit/test_right_values.py::test_half_an_overlap_is_enough_for_ignored_truth[decimal]",
@@ -170,7 +170,7 @@ OTHER_PLANTS = [
     ),
     Plant(
         "frames of a run are independent",
-        "pmbm/metrics/formulas.py",
+        "pmbm/metrics/core/formulas.py",
         "reach = jackknife_reach(without, estimates)",
         "reach = 1.96 * (2 * STATE_DIMENSION / estimates.sum()) ** 0.5",
         by="tests/unit/test_metric_honesty.py::test_runs_that_differ_widen_the_bounds_of_nees",

@@ -18,9 +18,9 @@ from scipy.stats import binomtest
 from pmbm.intervals import COUNT, Student, jackknife, jackknife_reach, of_mean
 from pmbm.metrics import Evaluation, combine, evaluate
 from pmbm.metrics.benchmarks import evaluate_trackeval
-from pmbm.metrics.consistency import chi2_bounds, consistency
-from pmbm.metrics.scene import make_scene, pair_overlap
-from pmbm.metrics.trackeval import SimilarScene
+from pmbm.metrics.benchmarks.trackeval import SimilarScene
+from pmbm.metrics.core.scene import make_scene, pair_overlap
+from pmbm.metrics.families.consistency import chi2_bounds, consistency
 from pmbm.study import jackknife_difference
 
 

@@ -9,7 +9,6 @@ import pytest
 from metric_builders import run_of, tracks_frame, truth_frame
 
 from pmbm.errors import InputError
-from pmbm.metrics.argoverse1 import argoverse1_counts
 from pmbm.metrics.benchmarks import (
     evaluate_argoverse1,
     evaluate_kitti,
@@ -17,12 +16,13 @@ from pmbm.metrics.benchmarks import (
     evaluate_trackeval,
     evaluate_waymo,
 )
-from pmbm.metrics.gaps import fill_gaps
-from pmbm.metrics.kitti import KittiCounts, KittiScene, kitti_scores
-from pmbm.metrics.result import combine
-from pmbm.metrics.scene import Scene, make_scene, pair_overlap, scene_of
-from pmbm.metrics.trackeval import SimilarScene
-from pmbm.metrics.waymo import WaymoScene, waymo_overlap
+from pmbm.metrics.benchmarks.argoverse1 import argoverse1_counts
+from pmbm.metrics.benchmarks.kitti import KittiCounts, KittiScene, kitti_scores
+from pmbm.metrics.benchmarks.trackeval import SimilarScene
+from pmbm.metrics.benchmarks.waymo import WaymoScene, waymo_overlap
+from pmbm.metrics.core.gaps import fill_gaps
+from pmbm.metrics.core.result import combine
+from pmbm.metrics.core.scene import Scene, make_scene, pair_overlap, scene_of
 
 
 def scene(truth, tracks, scores=None) -> Scene:

@@ -14,7 +14,7 @@ from scipy import stats
 from pmbm.cli import main
 from pmbm.errors import InputError
 from pmbm.metrics.benchmarks import evaluate_argoverse1
-from pmbm.metrics.scene import make_scene
+from pmbm.metrics.core.scene import make_scene
 from pmbm.study import jackknife_difference
 from pmbm.tracking import make_tracker, run, tracker_factory
 from sim import load_scenario

@@ -11,8 +11,8 @@ from metric_builders import run_of
 
 from pmbm.errors import InputError
 from pmbm.metrics import combine, evaluate
-from pmbm.metrics.calibration import reliability
-from pmbm.metrics.consistency import chi2_bounds, consistency, normalised_squares
+from pmbm.metrics.families.consistency import chi2_bounds, consistency, normalised_squares
+from pmbm.metrics.families.existence import reliability
 
 
 def test_reliability_by_hand():

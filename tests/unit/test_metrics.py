@@ -11,7 +11,7 @@ from metric_builders import recording_of, run_of, tracks_frame, truth_frame
 from pmbm.errors import InputError
 from pmbm.labels import Label
 from pmbm.metrics import MetricParameters, combine, evaluate, gospa, ospa
-from pmbm.metrics.scene import sorted_boxes
+from pmbm.metrics.core.scene import sorted_boxes
 from pmbm.types import TrackSequence
 
 CAR, OTHER_CAR, THIRD_CAR = 1, 2, 3

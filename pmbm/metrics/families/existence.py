@@ -1,4 +1,4 @@
-"""Is a reported probability of existence honest?  Reliability, Brier score, calibration error.
+"""Existence: reported probabilities against the share of reports that is real.
 
 A reported track "exists" in a frame where it is matched to an object.
 
@@ -10,14 +10,17 @@ probabilities using Bayesian binning", AAAI 2015.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pmbm.arrays import FloatArray, IntArray
 from pmbm.errors import InputError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from pmbm.intervals import SHARE
+from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.formulas import NO_TRACKS, Ratio
+from pmbm.metrics.core.result import Counts, Metric, Undefined
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,3 +87,57 @@ def reliability(probability: ArrayLike, true: ArrayLike, bins: int = 10) -> Reli
         probability_sum=np.bincount(place, p, minlength=bins).astype(np.float64),
         square_sum=float(((p - hit) ** 2).sum()),
     )
+
+
+@dataclass(frozen=True)
+class CalibrationError:
+    """Mean over reports of |mean probability - share that is real| of their bin."""
+
+    def __call__(self, counts: Counts) -> float | Undefined:
+        if not counts["reports"]:
+            return Undefined(NO_TRACKS)
+        return float(np.abs(counts["probability_sum"] - counts["hits"]).sum() / counts["reports"])
+
+
+def _count(work: Work) -> Tally:
+    real = np.zeros(len(work.scene.tracks), np.bool_)
+    real[work.matches.track] = True
+    result = reliability(work.scene.tracks.score, real)
+    return Tally.of(
+        {
+            "reports": len(real),
+            "count": result.count,
+            "hits": result.hits,
+            "probability_sum": result.probability_sum,
+            "square_sum": result.square_sum,
+        },
+        gate=work.parameters.gate,
+        bins=len(result.count),
+    )
+
+
+FAMILY: Final = Family(
+    name="existence",
+    rule="the reported probability of a track against whether CLEAR MOT matches it, in bins",
+    count=_count,
+    metrics=(
+        Metric(
+            name="existence_brier",
+            unit="1",
+            direction="lower",
+            default=False,
+            bounds=SHARE,
+            question="How good is the reported probability of existence (mean squared error)?",
+            formula=Ratio("square_sum", "reports", NO_TRACKS),
+        ),
+        Metric(
+            name="existence_calibration_error",
+            unit="1",
+            direction="lower",
+            default=False,
+            bounds=SHARE,
+            question="How far is the reported probability from the share that is real?",
+            formula=CalibrationError(),
+        ),
+    ),
+)

@@ -14,13 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmbm.arrays import BoolArray, FloatArray, IntArray
 from pmbm.errors import InputError
 from pmbm.geometry import paired_iou
 from pmbm.types import GroundTruth, Recording, Tracks, TrackSequence
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

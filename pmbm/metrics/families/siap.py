@@ -8,16 +8,17 @@ the nearest object inside the gate, so one object may have several tracks.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pmbm.metrics.scene import Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from pmbm.arrays import FloatArray, IntArray
+from pmbm.intervals import SHARE
+from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.formulas import NO_MATCH, NO_TRACKS, NO_TRUTH, Ratio
+from pmbm.metrics.core.result import Metric
+from pmbm.metrics.core.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,3 +215,83 @@ def _time_tracked(time: FloatArray, there: IntArray, own: Sequence[Association])
     for association in own:
         covered |= (begin >= association.first) & (end <= association.last)
     return float((time[end] - time[begin])[covered].sum())
+
+
+def _count(work: Work) -> Tally:
+    gate = work.parameters.gate
+    counts = siap_counts(work.scene, siap_associations(work.scene, gate=gate))
+    return Tally.of(
+        {**asdict(counts), "spurious": counts.tracks - counts.associated},
+        gate=gate,
+        distance="xy",
+        confirm=1,
+        end=1,
+    )
+
+
+FAMILY: Final = Family(
+    name="siap",
+    rule="SIAP attributes; a track follows the nearest object inside the gate",
+    count=_count,
+    metrics=(
+        Metric(
+            name="siap_completeness",
+            unit="1",
+            direction="higher",
+            default=False,
+            bounds=SHARE,
+            question="What share of objects has a track?",
+            formula=Ratio("tracked", "truths", NO_TRUTH),
+        ),
+        Metric(
+            name="siap_ambiguity",
+            unit="1",
+            direction="lower",
+            default=False,
+            question="How many tracks has a tracked object (1 is best)?",
+            formula=Ratio("associated", "tracked", NO_MATCH),
+        ),
+        Metric(
+            name="siap_spuriousness",
+            unit="1",
+            direction="lower",
+            default=False,
+            bounds=SHARE,
+            question="What share of tracks follows nothing?",
+            formula=Ratio("spurious", "tracks", NO_TRACKS),
+        ),
+        Metric(
+            name="siap_position_accuracy",
+            unit="m",
+            direction="lower",
+            default=False,
+            question="How far is a track from its object?",
+            formula=Ratio("position_error", "associated", NO_MATCH),
+        ),
+        Metric(
+            name="siap_velocity_accuracy",
+            unit="m/s",
+            direction="lower",
+            default=False,
+            question="How wrong is a track's velocity?",
+            formula=Ratio("velocity_error", "associated", NO_MATCH),
+        ),
+        Metric(
+            name="siap_track_changes",
+            unit="1/s",
+            direction="lower",
+            default=False,
+            question="How often does an object change its track, per time tracked?",
+            formula=Ratio("track_changes", "time_tracked", NO_MATCH),
+        ),
+        Metric(
+            name="siap_longest_segment",
+            unit="1",
+            direction="higher",
+            default=False,
+            bounds=SHARE,
+            question="What share of its life is an object's longest track?",
+            formula=Ratio("longest_segment", "lifetime", "no object lives for two frames"),
+        ),
+    ),
+)

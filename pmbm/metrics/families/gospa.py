@@ -9,17 +9,19 @@ FUSION 2017:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pmbm.errors import InputError
+from pmbm.arrays import FloatArray, IntArray
 from pmbm.geometry import centre_distance
-from pmbm.metrics.matching import best_matching
-from pmbm.metrics.scene import Pairs, Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.formulas import NO_FRAMES, Means, Ratio
+from pmbm.metrics.core.matching import best_matching
+from pmbm.metrics.core.points import check_cutoff_and_order, point_sets
+from pmbm.metrics.core.result import Metric
+from pmbm.metrics.core.scene import Pairs, Scene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -115,35 +117,54 @@ def gospa(
     )
 
 
-def check_cutoff_and_order(cutoff: float, order: float) -> None:
-    """Raise InputError unless cutoff > 0 and order >= 1 (both finite)."""
-    if not 0 < cutoff < np.inf:
-        raise InputError("bad cutoff", field="cutoff", expected="above 0 m", got=cutoff)
-    if not 1 <= order < np.inf:
-        raise InputError("bad order", field="order", expected="a finite number >= 1", got=order)
+def _count(work: Work) -> Tally:
+    p = work.parameters
+    result = gospa_series(work.scene, p.gospa_cutoff, p.gospa_order)
+    series = {key: value for key, value in vars(result).items() if key != "pairs"}
+    return Tally.of_frames(
+        series, cutoff=p.gospa_cutoff, order=p.gospa_order, alpha=2.0, distance="xy"
+    )
 
 
-def point_sets(truth: ArrayLike, estimates: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Two checked sets of points, (M,D) and (N,D); an empty list is a set of no points."""
-    sets = []
-    for name, given in (("truth", truth), ("estimates", estimates)):
-        points = np.asarray(given, dtype=np.float64)
-        if points.size == 0:
-            points = points.reshape(0, points.shape[-1])
-        if points.ndim != 2:
-            raise InputError(
-                "bad points", field=name, expected="shape (N, D)", got=f"shape {points.shape}"
-            )
-        bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-        if len(bad):
-            raise InputError(
-                "bad points", field=name, rows=bad, expected="finite numbers", got=points[bad[0]]
-            )
-        sets.append(points)
-    x, y = sets
-    if x.size and y.size and x.shape[1] != y.shape[1]:
-        raise InputError(
-            "points of different dimension", field="estimates", expected=x.shape[1], got=y.shape[1]
-        )
-    width = max(x.shape[1], y.shape[1])
-    return x.reshape(len(x), width), y.reshape(len(y), width)
+FAMILY: Final = Family(
+    name="gospa",
+    rule="GOSPA and its parts, mean over frames",
+    count=_count,
+    metrics=(
+        Metric(
+            name="gospa",
+            unit="m",
+            direction="lower",
+            series="distance",
+            question="How far is the picture from the truth, all errors in one number?",
+            formula=Ratio("distance", "frames", NO_FRAMES),
+            parts=Means(
+                ("localisation", "missed", "false", "missed_count", "false_count"), "frames"
+            ),
+        ),
+        Metric(
+            name="gospa_localisation",
+            unit="m^p",
+            direction="lower",
+            series="localisation",
+            question="How much of GOSPA^p is misplacement?",
+            formula=Ratio("localisation", "frames", NO_FRAMES),
+        ),
+        Metric(
+            name="gospa_missed",
+            unit="m^p",
+            direction="lower",
+            series="missed",
+            question="How much of GOSPA^p is missed objects?",
+            formula=Ratio("missed", "frames", NO_FRAMES),
+        ),
+        Metric(
+            name="gospa_false",
+            unit="m^p",
+            direction="lower",
+            series="false",
+            question="How much of GOSPA^p is false tracks?",
+            formula=Ratio("false", "frames", NO_FRAMES),
+        ),
+    ),
+)

@@ -1,4 +1,4 @@
-"""Is the reported covariance honest?  NEES of estimates, NIS of innovations.
+"""Consistency: covariances against errors, as NEES of estimates and NIS of innovations.
 
 Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
 section 5.4.
@@ -6,17 +6,24 @@ section 5.4.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
+from pmbm.arrays import FloatArray
 from pmbm.errors import InputError
 from pmbm.geometry import wrap_angle
 from pmbm.intervals import FEWEST, jackknife_reach
+from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.formulas import Ratio
+from pmbm.metrics.core.result import Counts, Metric, Samples, Undefined
 
-FloatArray = NDArray[np.float64]
+STATE_DIMENSION: Final = 4
+"""Of x, y, vx, vy."""
 
 
 def normalised_squares(
@@ -101,3 +108,95 @@ def chi2_bounds(dimension: int, count: int) -> tuple[float, float]:
     # Chi-square quantiles by the incomplete gamma function; scipy.stats is slow to import.
     low, high = 2 * gammaincinv(dimension * count / 2, [0.025, 0.975]) / count
     return float(low), float(high)
+
+
+@dataclass(frozen=True)
+class PerDimension:
+    """A formula's value per dimension of the state."""
+
+    formula: Ratio
+
+    def __call__(self, counts: Counts) -> float | Undefined:
+        value = self.formula(counts)
+        return value if isinstance(value, Undefined) else value / STATE_DIMENSION
+
+
+@dataclass(frozen=True)
+class NeesBounds:
+    """Parts: how many estimates of how many runs; of five runs or more, where the mean of 95 % of
+    as many honest ones lies, each over `divisor`.
+
+    Estimates of one run are correlated, over frames and over the objects of a scene, so one run
+    has no bounds of its own: runs are what varies.
+    """
+
+    divisor: int = 1
+
+    def __call__(self, counts: Counts) -> Mapping[str, float]:
+        nees, estimates = counts["run_nees"].values, counts["run_estimates"].values
+        seen = estimates > 0
+        nees, estimates = nees[seen], estimates[seen]
+        parts = {"n": float(estimates.sum()), "runs": float(len(estimates))}
+        if len(estimates) < FEWEST:
+            return parts
+        without = (nees.sum() - nees) / (estimates.sum() - estimates)
+        reach = jackknife_reach(without, estimates)
+        low, high = max(0.0, STATE_DIMENSION - reach), STATE_DIMENSION + reach
+        return {**parts, "low": low / self.divisor, "high": high / self.divisor}
+
+
+def _count(work: Work) -> Tally:
+    scene, matches = work.scene, work.matches
+    covariance = scene.tracks.covariance[matches.track]
+    given = np.isfinite(covariance).all(axis=(1, 2))
+    truth, track = matches.truth[given], matches.track[given]
+    error = np.concatenate(
+        [
+            scene.tracks.position[track, :2] - scene.truth.position[truth, :2],
+            scene.tracks.velocity[track] - scene.truth.velocity[truth],
+        ],
+        axis=1,
+    )
+    try:
+        squares = normalised_squares(error, covariance[given])
+    except InputError as problem:
+        row = track[problem.rows[0]]
+        where = {"frame": int(scene.tracks.frame[row]), "object_id": int(scene.tracks.id[row])}
+        raise problem.located(**where) from None
+    return Tally.of(
+        {
+            "nees": float(squares.sum()),
+            "estimates": len(squares),
+            "run_nees": Samples(np.array([squares.sum()])),
+            "run_estimates": Samples(np.array([float(len(squares))])),
+        },
+        gate=work.parameters.gate,
+        state="x, y, vx, vy",
+    )
+
+
+_NEES: Final = Ratio("nees", "estimates", "no matched track has a covariance")
+
+FAMILY: Final = Family(
+    name="consistency",
+    rule="NEES of matched tracks; with 95 % bounds over five runs or more",
+    count=_count,
+    metrics=(
+        Metric(
+            name="nees",
+            unit="1",
+            direction="none",
+            question="Is the reported covariance honest (4 for the state x, y, vx, vy)?",
+            formula=_NEES,
+            parts=NeesBounds(),
+        ),
+        Metric(
+            name="anees",
+            unit="1",
+            direction="none",
+            question="Is the reported covariance honest (1; above: too sure of itself)?",
+            formula=PerDimension(_NEES),
+            parts=NeesBounds(STATE_DIMENSION),
+        ),
+    ),
+)

@@ -11,18 +11,23 @@ The assignment minimises the p-th powers of the cut distances.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
+from pmbm.arrays import FloatArray
 from pmbm.geometry import centre_distance
-from pmbm.metrics.gospa import check_cutoff_and_order, point_sets
-from pmbm.metrics.matching import best_matching
-from pmbm.metrics.scene import Scene
-
-FloatArray = NDArray[np.float64]
+from pmbm.intervals import Scale
+from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.formulas import NO_FRAMES, Means, Ratio
+from pmbm.metrics.core.matching import best_matching
+from pmbm.metrics.core.parameters import MetricParameters
+from pmbm.metrics.core.points import check_cutoff_and_order, point_sets
+from pmbm.metrics.core.result import Metric
+from pmbm.metrics.core.scene import Scene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -121,3 +126,48 @@ def _bottleneck(cost: FloatArray) -> float:
         else:
             low = middle + 1
     return float(levels[low])
+
+
+def _count(work: Work) -> Tally:
+    p = work.parameters
+    result = ospa_series(work.scene, p.ospa_cutoff, p.ospa_order)
+    return Tally.of_frames(vars(result), cutoff=p.ospa_cutoff, order=p.ospa_order, distance="xy")
+
+
+OSPA_BOUNDS: Final = Scale(0.0, MetricParameters().ospa_cutoff)
+
+FAMILY: Final = Family(
+    name="ospa",
+    rule="OSPA and its parts, mean over frames",
+    count=_count,
+    metrics=(
+        Metric(
+            name="ospa",
+            unit="m",
+            direction="lower",
+            series="distance",
+            bounds=OSPA_BOUNDS,
+            question="How far off is the picture, per object?",
+            formula=Ratio("distance", "frames", NO_FRAMES),
+            parts=Means(("localisation", "cardinality"), "frames"),
+        ),
+        Metric(
+            name="ospa_localisation",
+            unit="m",
+            direction="lower",
+            series="localisation",
+            bounds=OSPA_BOUNDS,
+            question="How much of OSPA is misplacement?",
+            formula=Ratio("localisation", "frames", NO_FRAMES),
+        ),
+        Metric(
+            name="ospa_cardinality",
+            unit="m",
+            direction="lower",
+            series="cardinality",
+            bounds=OSPA_BOUNDS,
+            question="How much of OSPA is a wrong number of objects?",
+            formula=Ratio("cardinality", "frames", NO_FRAMES),
+        ),
+    ),
+)

@@ -6,15 +6,19 @@ multi-camera tracking", ECCV workshops 2016.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pmbm.metrics.matching import best_matching
-from pmbm.metrics.scene import Pairs, Scene
-
-IntArray = NDArray[np.int64]
+from pmbm.arrays import IntArray
+from pmbm.intervals import SHARE
+from pmbm.metrics.core.clear_matching import gated_pairs
+from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.formulas import F1
+from pmbm.metrics.core.matching import best_matching
+from pmbm.metrics.core.result import Metric
+from pmbm.metrics.core.scene import Pairs, Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,3 +59,26 @@ def id_pairs(scene: Scene, pairs: Pairs) -> tuple[IntArray, IntArray, IntArray, 
         truth_id * n_tracks + track_id, return_inverse=True, return_counts=True
     )
     return key // n_tracks, key % n_tracks, place, count
+
+
+def _count(work: Work) -> Tally:
+    gate = work.parameters.gate
+    counts = identity_counts(work.scene, gated_pairs(work.scene, gate))
+    return Tally.of(asdict(counts), gate=gate, distance="xyz")
+
+
+FAMILY: Final = Family(
+    name="identity",
+    rule="one track id for an object in the whole run (Ristani et al. 2016)",
+    count=_count,
+    metrics=(
+        Metric(
+            name="idf1",
+            unit="1",
+            direction="higher",
+            bounds=SHARE,
+            question="For how long does one track id stay with one object?",
+            formula=F1("true_positives", "misses", "false_positives"),
+        ),
+    ),
+)

@@ -14,13 +14,11 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from pmbm.arrays import FloatArray, IntArray
 
 _BATCH: Final = 32
 """Rows, or columns, of components that are solved in one call."""

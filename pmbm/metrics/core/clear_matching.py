@@ -1,7 +1,7 @@
-"""CLEAR MOT by the standard rule: who is matched to whom, frame by frame, and what that counts.
+"""Matching of objects and tracks frame by frame, by the standard CLEAR rule.
 
 Bernardin, Stiefelhagen, "Evaluating multiple object tracking performance: the CLEAR MOT metrics",
-EURASIP JIVP 2008.  A matching says which pairs belong together; the counts follow from it.
+EURASIP JIVP 2008.
 """
 
 from __future__ import annotations
@@ -10,15 +10,11 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pmbm.arrays import BoolArray, FloatArray, IntArray
 from pmbm.errors import InputError
-from pmbm.metrics.matching import most_then_nearest
-from pmbm.metrics.scene import Pairs, Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from pmbm.metrics.core.matching import most_then_nearest
+from pmbm.metrics.core.scene import Pairs, Scene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,34 +34,6 @@ class Matches:
 
     def __len__(self) -> int:
         return len(self.frame)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClearCounts:
-    """What CLEAR MOT counts over a run.
-
-    frames, truths, tracks : frames, and rows of either side.
-    matches : matched pairs, those that are identity switches included.
-    misses, false_positives, switches, fragmentations : events.
-    transfers : new matches of a track that was last newly matched to another object.
-    objects, mostly_tracked, mostly_lost : truth ids; tracked in at least 80 %, in less than 20 %
-        of their frames.
-    distance_sum : of matched pairs, m.
-    """
-
-    frames: int
-    truths: int
-    tracks: int
-    matches: int
-    misses: int
-    false_positives: int
-    switches: int
-    fragmentations: int
-    transfers: int
-    objects: int
-    mostly_tracked: int
-    mostly_lost: int
-    distance_sum: float
 
 
 def clear_matches(scene: Scene, gate: float = 2.0) -> Matches:
@@ -114,59 +82,6 @@ def matches_of(scene: Scene, pairs: Pairs, distance: FloatArray) -> Matches:
         distance=distance,
         switch=switch,
     )
-
-
-def clear_counts(scene: Scene, matches: Matches) -> ClearCounts:
-    """Count the events of a matching.
-
-    A fragmentation is a change from tracked to missed of an object between its first and its last
-    tracked frame; a change of identity is none.
-    """
-    tracked = np.zeros(len(scene.truth), np.bool_)
-    tracked[matches.truth] = True
-    objects = len(scene.truth.ids)
-    share = np.bincount(scene.truth.index, tracked, minlength=objects) / np.maximum(
-        np.bincount(scene.truth.index, minlength=objects), 1
-    )
-    return ClearCounts(
-        frames=len(scene),
-        truths=len(scene.truth),
-        tracks=len(scene.tracks),
-        matches=len(matches),
-        misses=len(scene.truth) - len(matches),
-        false_positives=len(scene.tracks) - len(matches),
-        switches=int(matches.switch.sum()),
-        fragmentations=fragmentations(scene, tracked),
-        transfers=_transfers(scene, matches),
-        objects=objects,
-        mostly_tracked=int((share >= 0.8).sum()),
-        mostly_lost=int((share < 0.2).sum()),
-        distance_sum=float(matches.distance.sum()),
-    )
-
-
-def fragmentations(scene: Scene, tracked: BoolArray) -> int:
-    """Interruptions of tracked objects that are taken up again, tracked (N,) per truth row."""
-    order = scene.truth.by_object
-    # An interruption taken up again is a restart: between consecutive tracked rows of one object
-    # there is at least one row of it that is not tracked.
-    object_place = np.arange(len(order))[tracked[order]]
-    object_id = scene.truth.index[order][tracked[order]]
-    same = object_id[1:] == object_id[:-1]
-    return int((same & (np.diff(object_place) > 1)).sum())
-
-
-def _transfers(scene: Scene, matches: Matches) -> int:
-    """New matches whose track was last newly matched to another object."""
-    truth_id, track_id = scene.truth.index[matches.truth], scene.tracks.index[matches.track]
-    order = np.lexsort((matches.frame, truth_id))
-    kept = np.zeros(len(matches), np.bool_)
-    same_truth = truth_id[order][1:] == truth_id[order][:-1]
-    kept[order[1:]] = same_truth & ~matches.switch[order[1:]]
-    new = np.flatnonzero(~kept)
-    new = new[np.lexsort((matches.frame[new], track_id[new]))]
-    same_track = track_id[new][1:] == track_id[new][:-1]
-    return int((same_track & (truth_id[new][1:] != truth_id[new][:-1])).sum())
 
 
 def _continue_tracks(scene: Scene, gated: Pairs, cost: FloatArray) -> IntArray:

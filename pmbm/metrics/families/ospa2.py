@@ -6,18 +6,19 @@ Beard, Vo, Vo, "OSPA(2): using the OSPA metric to evaluate multi-target tracking
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
-from numpy.typing import NDArray
 
+from pmbm.arrays import BoolArray, IntArray
 from pmbm.errors import InputError
-from pmbm.metrics.gospa import check_cutoff_and_order
-from pmbm.metrics.matching import best_matching
-from pmbm.metrics.ospa import OspaSeries
-from pmbm.metrics.scene import Boxes, Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.formulas import NO_FRAMES, Means, Ratio
+from pmbm.metrics.core.matching import best_matching
+from pmbm.metrics.core.points import check_cutoff_and_order
+from pmbm.metrics.core.result import Metric
+from pmbm.metrics.core.scene import Boxes, Scene
+from pmbm.metrics.families.ospa import OSPA_BOUNDS, OspaSeries
 
 
 def ospa2_series(scene: Scene, window: int, cutoff: float = 10.0, order: float = 2.0) -> OspaSeries:
@@ -95,3 +96,35 @@ def _last_frames(there: BoolArray, window: int) -> IntArray:
     """In how many of the last `window` frames each id exists, (I,F)."""
     total: IntArray = np.cumsum(there, axis=1, dtype=np.int64)
     return total - np.pad(total, ((0, 0), (window, 0)))[:, : there.shape[1]]
+
+
+def _count(work: Work) -> Tally:
+    p, period = work.parameters, work.scene.period
+    window = 1 if period is None else max(1, round(p.ospa2_window / period))
+    result = ospa2_series(work.scene, window, p.ospa_cutoff, p.ospa_order)
+    return Tally.of_frames(
+        vars(result),
+        cutoff=p.ospa_cutoff,
+        order=p.ospa_order,
+        window=p.ospa2_window,
+        distance="xy",
+    )
+
+
+FAMILY: Final = Family(
+    name="ospa2",
+    rule="OSPA(2) over the tracks of a window that ends at each frame, mean over frames",
+    count=_count,
+    metrics=(
+        Metric(
+            name="ospa2",
+            unit="m",
+            direction="lower",
+            series="distance",
+            bounds=OSPA_BOUNDS,
+            question="How far off are the tracks of the last second, identities included?",
+            formula=Ratio("distance", "frames", NO_FRAMES),
+            parts=Means(("localisation", "cardinality"), "frames"),
+        ),
+    ),
+)

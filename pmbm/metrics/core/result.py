@@ -1,4 +1,4 @@
-"""What every metric gives back: one value with its rule, its parts and what is needed to combine.
+"""Metrics and their values: a value has its rule, its parts and what is needed to combine it.
 
 A value is always a formula of counts (sums over frames and objects) or of samples.  Recordings are
 combined by adding the counts and applying the same formula, never by averaging ratios.
@@ -8,23 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pmbm.arrays import FloatArray
 from pmbm.errors import InputError, nearest_hint
 from pmbm.intervals import COUNT, MEASURED, Scale
 from pmbm.labels import Label
 
-FloatArray = NDArray[np.float64]
 Counts = Mapping[str, Any]
 """Numbers or arrays that add up over recordings, and `Samples` and `Joined`, which join."""
 Scope = Literal["all", "observable"]
 Direction = Literal["higher", "lower", "none"]
 
 OBSERVABLE = "_observable"
+_READ_ONLY = ("parameters", "components", "counts")
 _COUNTED = ("boxes", "events", "tracks")
 """Units of metrics that are counts."""
 
@@ -34,6 +35,10 @@ class Undefined:
     """Why a formula has no value for these counts."""
 
     reason: str
+
+
+Formula = Callable[[Counts], float | Undefined]
+Parts = Callable[[Counts], Mapping[str, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,37 +68,35 @@ class Joined:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Definition:
-    """What a name stands for.
+class Metric:
+    """A metric's name, its meaning, and its formula.
 
     name, variant : of the metric, and whose rule it follows.
-    unit, direction : of the value; which way is better.
-    answers : the question it answers, in a few words.
-    group : metrics of one group are counted together.
+    unit, direction : of the value; whether "higher" or "lower" is better, or "none".
+    question : what it answers, in a few words.
     formula : counts (and the parameters, by name) -> value.
     parts : the same -> further numbers worth showing beside the value, defined or not.
-    series : name of the group's per-frame series, or None.
+    series : name of its family's per-frame series, or None.
     default : whether `evaluate` gives it unasked.
-    measured : the values that it can take in a trial where it is no count, at the parameters'
+    bounds : the values that it can take in a trial where it is no count, at the parameters'
         defaults.
     """
 
     name: str
-    group: str
     unit: str
     direction: Direction
-    answers: str
-    formula: Callable[[Counts], float | Undefined]
+    question: str
+    formula: Formula
     variant: str = "standard"
-    parts: Callable[[Counts], Mapping[str, float]] | None = None
+    parts: Parts | None = None
     series: str | None = None
     default: bool = True
-    measured: Scale = MEASURED
+    bounds: Scale = MEASURED
 
     @property
     def scale(self) -> Scale:
         """The values that the metric can take in a trial."""
-        return COUNT if self.unit in _COUNTED else self.measured
+        return COUNT if self.unit in _COUNTED else self.bounds
 
     def value(
         self,
@@ -151,10 +154,10 @@ class MetricValue:
     components: Mapping[str, float]
     series: FloatArray | None
     counts: Counts
-    definition: Definition = field(repr=False)
+    definition: Metric = field(repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("parameters", "components", "counts"):
+        for name in _READ_ONLY:
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         if self.series is not None:
             self.series.flags.writeable = False
@@ -162,27 +165,22 @@ class MetricValue:
     @property
     def rule(self) -> str:
         """Whose rule, with which parameters, in one line."""
-        settings = ", ".join(
-            f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
-            for name, value in self.parameters.items()
-        )
-        return f"{self.variant}: {settings}" if settings else self.variant
+        given = settings(self.parameters)
+        return f"{self.variant}: {given}" if given else self.variant
 
     def __reduce__(self) -> tuple[Any, ...]:
-        values = {
-            f.name: dict(value) if isinstance(value, MappingProxyType) else value
-            for f in fields(self)
-            if f.name != "definition"
-            for value in [getattr(self, f.name)]
-        }
-        return _restored, (values, self.definition.name, self.definition.variant)
+        # Read-only views of dictionaries do not pickle.
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        values |= {name: dict(values[name]) for name in _READ_ONLY}
+        return partial(MetricValue, **values), ()
 
 
-def _restored(values: dict[str, Any], name: str, variant: str) -> MetricValue:
-    # The formulas do not pickle; the tables that hold them import this module.
-    from pmbm.metrics.benchmarks import any_definition
-
-    return MetricValue(**values, definition=any_definition(name, variant))
+def settings(parameters: Mapping[str, Any]) -> str:
+    """Parameters in one line."""
+    return ", ".join(
+        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in parameters.items()
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pmbm.arrays import FloatArray
 from pmbm.geometry import wrap_angle
-from pmbm.metrics.scene import Boxes, Scene, sorted_boxes
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from pmbm.metrics.core.scene import Boxes, Scene, sorted_boxes
 
 
 def fill_gaps(scene: Scene, *, reversed_weights: bool = False) -> Scene:

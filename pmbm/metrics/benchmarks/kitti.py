@@ -9,17 +9,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pmbm.metrics.matching import most_then_nearest
-from pmbm.metrics.scene import Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from pmbm.arrays import BoolArray, FloatArray, IntArray
+from pmbm.metrics.benchmarks.rules import (
+    ERRORS,
+    TRUTHS,
+    ComparedSequence,
+    ScoringRule,
+    benchmark_evaluation,
+    benchmark_metrics,
+    or_undefined,
+)
+from pmbm.metrics.benchmarks.trackeval import similarity_rule
+from pmbm.metrics.core.formulas import NO_TRUTH, Total
+from pmbm.metrics.core.matching import most_then_nearest
+from pmbm.metrics.core.result import Counts, Evaluation, Joined, Undefined
+from pmbm.metrics.core.scene import Scene, make_scene, pair_overlap
+from pmbm.metrics.families.hota import distance_similarity
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,16 +48,6 @@ class KittiScene:
     overlap: FloatArray
     ignored_truth: BoolArray
     ignored_tracks: BoolArray
-
-    @classmethod
-    def plain(cls, scene: Scene, overlap: FloatArray) -> KittiScene:
-        """With nothing ignored."""
-        return cls(
-            scene=scene,
-            overlap=overlap,
-            ignored_truth=np.zeros(len(scene.truth), np.bool_),
-            ignored_tracks=np.zeros(len(scene.tracks), np.bool_),
-        )
 
     def with_tracks(self, rows: BoolArray) -> KittiScene:
         """Only these track rows."""
@@ -283,3 +284,118 @@ def _recall_steps(scores: FloatArray, truths: int, levels: int) -> list[tuple[fl
         steps.append((float(score), recall))
         recall += 1 / levels
     return steps[1:]
+
+
+@dataclass(frozen=True)
+class KittiFigure:
+    """A figure of `kitti_scores`."""
+
+    name: str
+
+    def __call__(self, counts: Counts) -> float | Undefined:
+        own = KittiCounts(**{f.name: counts[f.name] for f in fields(KittiCounts)})
+        return or_undefined(kitti_scores(own)[self.name], NO_TRUTH)
+
+
+@dataclass(frozen=True)
+class KittiAverage:
+    """A figure of `kitti_averages`."""
+
+    name: str
+
+    def __call__(self, counts: Counts) -> float | Undefined:
+        averages = _averages(counts["sequences"], counts["least_overlap"])
+        return Undefined(NO_TRUTH) if averages is None else float(getattr(averages, self.name))
+
+
+@lru_cache(maxsize=1)
+def _averages(sequences: Joined, least_overlap: float) -> KittiAverages | None:
+    return kitti_averages(sequences.items, least_overlap)
+
+
+METRICS: Final = benchmark_metrics(
+    "kitti",
+    ("mota", "1", "higher", "CLEAR MOT accuracy", KittiFigure("MOTA")),
+    ("motp", "1", "higher", "mean overlap of matches", KittiFigure("MOTP")),
+    ("moda", "1", "higher", "accuracy without identities", KittiFigure("MODA")),
+    ("motal", "1", "higher", "accuracy with log of switches", KittiFigure("MOTAL")),
+    ("id_switches", "events", "lower", "changes of identity", Total("switches")),
+    ("fragmentations", "events", "lower", "interruptions", Total("fragmentations")),
+    ("false_positives", "boxes", "lower", "boxes of nothing", Total("false_positives")),
+    ("misses", "boxes", "lower", "objects not found", Total("misses")),
+    ("recall", "1", "higher", "share of objects found", KittiFigure("recall")),
+    ("precision", "1", "higher", "share of boxes that are real", KittiFigure("precision")),
+    ("mostly_tracked", "1", "higher", "objects tracked in more than 80 %", KittiFigure("MT")),
+    ("mostly_lost", "1", "lower", "objects tracked in less than 20 %", KittiFigure("ML")),
+    ("samota", "1", "higher", "scaled accuracy over recall", KittiAverage("samota")),
+    ("amota", "1", "higher", "accuracy over recall", KittiAverage("amota")),
+    ("amotp", "1", "higher", "overlap over recall", KittiAverage("amotp")),
+    TRUTHS,
+)
+
+
+def evaluate_kitti(sequences: Sequence[KittiScene], least_overlap: float) -> Evaluation:
+    """KITTI over sequences of one class.
+
+    least_overlap : of the overlap each `KittiScene` carries.
+    """
+    counts = asdict(sum_counts(kitti_counts(one, least_overlap) for one in sequences))
+    counts["sequences"] = Joined(tuple(sequences))
+    return benchmark_evaluation(METRICS, counts, {"least_overlap": least_overlap}, len(sequences))
+
+
+def _devkit(sequence: ComparedSequence, _kind: str) -> Evaluation:
+    scene = make_scene(sequence.truth, sequence.tracks)
+    if sequence.confidence is not None:
+        scene = replace(scene, tracks=replace(scene.tracks, score=sequence.confidence))
+    compared = KittiScene(
+        scene=scene,
+        overlap=pair_overlap(scene),
+        ignored_truth=~scene.truth.observable,
+        ignored_tracks=sequence.excused,
+    )
+    return evaluate_kitti([compared], 0.25)
+
+
+def _iou3d(scene: Scene, _: ComparedSequence) -> FloatArray:
+    return pair_overlap(scene)
+
+
+def _near_from_above(scene: Scene, _: ComparedSequence) -> FloatArray:
+    return distance_similarity(scene.pairs.distance)
+
+
+def _iou2d(scene: Scene, sequence: ComparedSequence) -> FloatArray:
+    assert sequence.truth_image is not None
+    assert sequence.tracks_image is not None
+    a = sequence.truth_image[scene.pairs.truth]
+    b = sequence.tracks_image[scene.pairs.track]
+    sides = np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2])
+    shared = np.clip(sides, 0, None).prod(axis=1)
+    both = (a[:, 2:] - a[:, :2]).prod(axis=1) + (b[:, 2:] - b[:, :2]).prod(axis=1) - shared
+    return np.divide(shared, both, out=np.zeros_like(shared), where=both > 0)
+
+
+_BARELY_NEARER: Final = 0.5 + 1e-12
+"""Strictly within half of 4 m, beyond the rounding that matching forgives."""
+
+RULES: Final = {
+    "iou3d": similarity_rule(_iou3d, 0.25, "3D IoU of at least .25"),
+    "bev": similarity_rule(_near_from_above, _BARELY_NEARER, "centres within 2 m seen from above"),
+    "iou2d": similarity_rule(_iou2d, 0.5, "IoU of at least .5 in the image", in_image=True),
+    "devkit": ScoringRule(
+        _devkit,
+        "3D IoU of at least .25, by the devkit's counting",
+        {
+            "sAMOTA": "samota",
+            "AMOTA": "amota",
+            "AMOTP": "amotp",
+            "MOTA": "mota",
+            "MOTP": "motp",
+            **ERRORS,
+            "MT": "mostly_tracked",
+            "ML": "mostly_lost",
+            "GT": "truths",
+        },
+    ),
+}

@@ -6,18 +6,29 @@ track's mean score that give recalls from 0.1 to 1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pmbm.metrics.clear import Matches, clear_counts, continuing_matches
-from pmbm.metrics.scene import Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from pmbm.arrays import FloatArray
+from pmbm.errors import InputError
+from pmbm.metrics.benchmarks.rules import (
+    ERRORS,
+    ComparedSequence,
+    ScoringRule,
+    benchmark_evaluation,
+    benchmark_metrics,
+    or_undefined,
+)
+from pmbm.metrics.core.clear_matching import Matches, continuing_matches
+from pmbm.metrics.core.formulas import NO_TRUTH
+from pmbm.metrics.core.gaps import fill_gaps
+from pmbm.metrics.core.result import Counts, Evaluation, Joined, Undefined
+from pmbm.metrics.core.scene import Scene, make_scene
+from pmbm.metrics.families.clear import clear_counts
 
 RECALLS: Final[FloatArray] = np.linspace(0.1, 1.0, 40).round(12)[::-1]
 """Recall levels, the highest first."""
@@ -238,3 +249,104 @@ def _nothing_reached(
 
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+@dataclass(frozen=True)
+class NuscenesFigure:
+    """A figure of `nuscenes_scores`, of its averages or at its best threshold."""
+
+    name: str
+
+    def __call__(self, counts: Counts) -> float | Undefined:
+        scores = _scores(counts["scenes"], counts["gate"])
+        if scores is None:
+            return Undefined(NO_TRUTH)
+        averaged = self.name not in scores.at_best
+        value = getattr(scores, self.name) if averaged else scores.at_best[self.name]
+        return or_undefined(value, "no recall level is reached")
+
+
+@lru_cache(maxsize=1)
+def _scores(scenes: Joined, gate: float) -> NuscenesScores | None:
+    return nuscenes_scores(scenes.items, gate)
+
+
+METRICS: Final = benchmark_metrics(
+    "nuscenes",
+    ("amota", "1", "higher", "MOTAR over recall", NuscenesFigure("amota")),
+    ("amotp", "m", "lower", "centre error over recall", NuscenesFigure("amotp")),
+    ("motar", "1", "higher", "accuracy at the reached recall", NuscenesFigure("motar")),
+    ("mota", "1", "higher", "CLEAR MOT accuracy, cut at 0", NuscenesFigure("mota")),
+    ("motp", "m", "lower", "centre error", NuscenesFigure("motp")),
+    ("recall", "1", "higher", "share of objects found", NuscenesFigure("recall")),
+    ("false_positives", "boxes", "lower", "boxes of nothing", NuscenesFigure("fp")),
+    ("misses", "boxes", "lower", "objects not found", NuscenesFigure("fn")),
+    ("id_switches", "events", "lower", "changes of identity", NuscenesFigure("ids")),
+    ("fragmentations", "events", "lower", "interruptions", NuscenesFigure("frag")),
+    ("faf", "1", "lower", "false boxes per 100 frames", NuscenesFigure("faf")),
+    ("tid", "s", "lower", "time to the first match", NuscenesFigure("tid")),
+    ("lgd", "s", "lower", "longest gap", NuscenesFigure("lgd")),
+    ("truths", "boxes", "none", "boxes of truth", NuscenesFigure("gt")),
+)
+
+
+def evaluate_nuscenes(
+    scenes: Sequence[Scene], *, gate: float = 2.0, gaps: str = "filled"
+) -> Evaluation:
+    """nuScenes over scenes of one class.
+
+    gate : centres strictly nearer in (x, y) match, m.
+    gaps : where an id is absent between its first and last frame, boxes are "filled" in by
+        interpolation on both sides, as the benchmark means it; "devkit" fills them in as its
+        program does, the earlier box with the later one's weight; "left" leaves them.
+    """
+    if gaps not in _GAPS:
+        raise InputError(f"no way '{gaps}' with gaps", field="gaps", expected=", ".join(_GAPS))
+    filled = tuple(_GAPS[gaps](with_track_scores(scene)) for scene in scenes)
+    parameters = {"gate": gate, "gaps": gaps}
+    return benchmark_evaluation(METRICS, {"scenes": Joined(filled)}, parameters, len(scenes))
+
+
+def _left(scene: Scene) -> Scene:
+    return scene
+
+
+_GAPS: Final[Mapping[str, Callable[[Scene], Scene]]] = {
+    "filled": fill_gaps,
+    "devkit": partial(fill_gaps, reversed_weights=True),
+    "left": _left,
+}
+
+
+@dataclass(frozen=True)
+class NuscenesScore:
+    """The score of one sequence, with one of the ways with gaps."""
+
+    gaps: str
+
+    def __call__(self, sequence: ComparedSequence, kind: str) -> Evaluation:
+        return evaluate_nuscenes([make_scene(sequence.truth, sequence.tracks)], gaps=self.gaps)
+
+
+def _rule(gaps: str, says: str) -> ScoringRule:
+    return ScoringRule(NuscenesScore(gaps), f"centres within 2 m seen from above, {says}", _SHOWN)
+
+
+_SHOWN: Final = {
+    "AMOTA": "amota",
+    "AMOTP": "amotp",
+    "MOTAR": "motar",
+    "MOTA": "mota",
+    "MOTP": "motp",
+    "recall": "recall",
+    **ERRORS,
+    "FAF": "faf",
+    "TID": "tid",
+    "LGD": "lgd",
+    "GT": "truths",
+}
+
+RULES: Final = {
+    "nuscenes": _rule("filled", "gaps filled in"),
+    "devkit": _rule("devkit", "gaps filled in with the devkit's reversed weights"),
+}

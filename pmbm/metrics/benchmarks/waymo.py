@@ -7,18 +7,24 @@ MOTA is reported, at two levels of difficulty and by range.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, fields
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pmbm.metrics.matching import best_matching
-from pmbm.metrics.scene import Boxes, Scene, pair_overlap
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from pmbm.arrays import BoolArray, FloatArray, IntArray
+from pmbm.errors import InputError
+from pmbm.metrics.benchmarks.rules import (
+    ComparedSequence,
+    ScoringRule,
+    benchmark_evaluation,
+    benchmark_metrics,
+    or_undefined,
+)
+from pmbm.metrics.core.formulas import NO_TRUTH
+from pmbm.metrics.core.matching import best_matching
+from pmbm.metrics.core.result import Counts, Evaluation, Undefined
+from pmbm.metrics.core.scene import Scene, make_scene, pair_overlap
 
 CUTOFFS: Final[FloatArray] = np.append(np.arange(100) * 0.01, 1.0)
 """Scores are compared with them in single precision, as they are stored."""
@@ -30,7 +36,7 @@ _SMALLEST_SIDE: Final = 0.01
 class WaymoScene:
     """One sequence and object type.
 
-    scene : truth and tracks; positions in the vehicle's frame where ranges are asked for.
+    scene : truth and tracks.
     overlap (Q,) : 3D IoU of the scene's pairs.
     level (N,) : difficulty of each truth row; anything but 2 is level 1.
     in_no_label_zone (K,) : track rows that overlap a no-label zone, not false where unmatched.
@@ -40,25 +46,6 @@ class WaymoScene:
     overlap: FloatArray
     level: IntArray
     in_no_label_zone: BoolArray
-
-    def within(self, low: float, high: float) -> WaymoScene:
-        """Only boxes, of either side on their own, with low <= distance < high, m."""
-        truth = _between(self.scene.truth, low, high)
-        tracks = _between(self.scene.tracks, low, high)
-        pairs = self.scene.pairs
-        both = np.flatnonzero(truth[pairs.truth] & tracks[pairs.track])
-        return WaymoScene(
-            scene=self.scene.with_rows(truth, tracks),
-            overlap=self.overlap[both],
-            level=self.level[truth],
-            in_no_label_zone=self.in_no_label_zone[tracks],
-        )
-
-
-def _between(boxes: Boxes, low: float, high: float) -> BoolArray:
-    away: FloatArray = np.sqrt((boxes.position**2).sum(axis=1))
-    inside: BoolArray = (low <= away) & (away < high)
-    return inside
 
 
 def waymo_overlap(scene: Scene) -> FloatArray:
@@ -263,3 +250,83 @@ def _counts_of(rows: Sequence[tuple[float, ...]]) -> WaymoCounts:
         matches=matches.astype(np.int64),
         truths=truths.astype(np.int64),
     )
+
+
+@dataclass(frozen=True)
+class WaymoFigure:
+    """A figure of `waymo_scores`."""
+
+    name: str
+
+    def __call__(self, counts: Counts) -> float | Undefined:
+        if not counts["truths"].any():
+            return Undefined(NO_TRUTH)
+        scores = waymo_scores(WaymoCounts(**{f.name: counts[f.name] for f in fields(WaymoCounts)}))
+        return or_undefined(getattr(scores, self.name), "no score cutoff has a MOTA above 0")
+
+
+METRICS: Final = benchmark_metrics(
+    "waymo",
+    ("mota", "1", "higher", "CLEAR MOT accuracy at the best score cutoff", WaymoFigure("mota")),
+    ("motp", "1", "lower", "mean 1 - IoU of matches", WaymoFigure("motp")),
+    ("misses", "1", "lower", "objects not found, per object", WaymoFigure("misses")),
+    ("mismatches", "1", "lower", "changes of identity, per object", WaymoFigure("mismatches")),
+    ("false_positives", "1", "lower", "false boxes, per object", WaymoFigure("false_positives")),
+    ("score_cutoff", "1", "none", "the best score cutoff", WaymoFigure("cutoff")),
+    ("truths", "boxes", "none", "boxes of truth", WaymoFigure("truths")),
+)
+
+
+def evaluate_waymo(
+    sequences: Sequence[WaymoScene], least_overlap: float, *, level: int = 2
+) -> Evaluation:
+    """Waymo over sequences of one object type (and range) at one level of difficulty.
+
+    least_overlap : 3D IoU, 0.7 for vehicles, 0.5 for the others.  level : 1 or 2.
+    """
+    if level not in (1, 2):
+        raise InputError("bad level of difficulty", field="level", expected="1 or 2", got=level)
+    sums: dict[str, Any] = {}
+    for sequence in sequences:
+        own = vars(waymo_counts(sequence, least_overlap)[level])
+        sums = {key: sums.get(key, 0) + value for key, value in own.items()}
+    return benchmark_evaluation(
+        METRICS, sums, {"least_overlap": least_overlap, "level": level}, len(sequences)
+    )
+
+
+@dataclass(frozen=True)
+class WaymoScore:
+    """The score of one sequence at a level of difficulty."""
+
+    level: int
+
+    def __call__(self, sequence: ComparedSequence, kind: str) -> Evaluation:
+        scene = make_scene(sequence.truth, sequence.tracks)
+        assert sequence.hard is not None
+        compared = WaymoScene(
+            scene=scene,
+            overlap=waymo_overlap(scene),
+            level=np.where(sequence.hard, 2, 1),
+            in_no_label_zone=sequence.excused,
+        )
+        least_overlap = 0.7 if kind == "VEHICLE" else 0.5
+        return evaluate_waymo([compared], least_overlap, level=self.level)
+
+
+def _rule(level: int) -> ScoringRule:
+    says = f"3D IoU of at least .7 (vehicles) or .5, LEVEL_{level}"
+    return ScoringRule(WaymoScore(level), says, _SHOWN)
+
+
+_SHOWN: Final = {
+    "MOTA": "mota",
+    "MOTP": "motp",
+    "FP": "false_positives",
+    "misses": "misses",
+    "mismatches": "mismatches",
+    "cutoff": "score_cutoff",
+    "GT": "truths",
+}
+
+RULES: Final = {"level2": _rule(2), "level1": _rule(1)}

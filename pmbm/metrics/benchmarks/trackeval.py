@@ -5,21 +5,29 @@ Luiten, Hoffhues, "TrackEval", 2020.  Scores are over a similarity in [0, 1] of 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pmbm.metrics.clear import Matches, matches_of
-from pmbm.metrics.hota import HotaCounts, hota_counts
-from pmbm.metrics.identity import IdentityCounts, identity_counts
-from pmbm.metrics.matching import best_matching
-from pmbm.metrics.scene import Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from pmbm.arrays import BoolArray, FloatArray, IntArray
+from pmbm.metrics.benchmarks.rules import (
+    ERRORS,
+    TRUTHS,
+    ComparedSequence,
+    ScoringRule,
+    benchmark_evaluation,
+    benchmark_metrics,
+)
+from pmbm.metrics.core.clear_matching import Matches, matches_of
+from pmbm.metrics.core.formulas import F1, NO_MATCH, Ratio, Total
+from pmbm.metrics.core.matching import best_matching
+from pmbm.metrics.core.result import Counts, Evaluation, Formula, Undefined
+from pmbm.metrics.core.scene import Scene, make_scene
+from pmbm.metrics.families.clear import MOTA
+from pmbm.metrics.families.hota import HotaCounts, OverThresholds, hota_counts
+from pmbm.metrics.families.identity import IdentityCounts, identity_counts
 
 _EPS: Final = float(np.finfo(np.float64).eps)
 
@@ -239,3 +247,130 @@ def _restarts(scene: Scene, matches: Matches) -> int:
     order = np.lexsort((matches.frame, truth_id))
     same = np.diff(truth_id[order]) == 0
     return int((same & (np.diff(place[order]) > 1)).sum())
+
+
+@dataclass(frozen=True)
+class Under:
+    """A formula over the counts whose names begin with a prefix."""
+
+    prefix: str
+    formula: Formula
+
+    def __call__(self, counts: Counts) -> float | Undefined:
+        own = {
+            k.removeprefix(self.prefix): v for k, v in counts.items() if k.startswith(self.prefix)
+        }
+        return self.formula(own)
+
+
+METRICS: Final = benchmark_metrics(
+    "trackeval",
+    ("hota", "1", "higher", "detection and association", Under("hota.", OverThresholds("HOTA"))),
+    ("deta", "1", "higher", "detection", Under("hota.", OverThresholds("DetA"))),
+    ("assa", "1", "higher", "association", Under("hota.", OverThresholds("AssA"))),
+    ("loca", "1", "higher", "similarity of matches", Under("hota.", OverThresholds("LocA"))),
+    ("mota", "1", "higher", "CLEAR MOT accuracy", MOTA),
+    (
+        "motp",
+        "1",
+        "higher",
+        "similarity of matches",
+        Ratio("similarity_sum", "matches", NO_MATCH),
+    ),
+    ("id_switches", "events", "lower", "changes of identity", Total("switches")),
+    ("fragmentations", "events", "lower", "restarts", Total("fragmentations")),
+    ("false_positives", "boxes", "lower", "boxes of nothing", Total("false_positives")),
+    ("misses", "boxes", "lower", "objects not found", Total("misses")),
+    (
+        "idf1",
+        "1",
+        "higher",
+        "agreement of identities",
+        Under("identity.", F1("true_positives", "misses", "false_positives")),
+    ),
+    TRUTHS,
+)
+
+
+def evaluate_trackeval(
+    sequences: Sequence[SimilarScene], *, threshold: float = 0.5, similarity: str = "given"
+) -> Evaluation:
+    """CLEAR MOT, identity and HOTA by TrackEval's matching, over sequences of one class.
+
+    threshold : least similarity of CLEAR MOT and IDF1.  similarity : what it is, in words.
+    Counts of all sequences are added, without TrackEval's exception for those in which one side
+    is empty, and what has no denominator is undefined; `trackeval_scores` gives its own zeros.
+    """
+    sums: dict[str, Any] = {}
+    for sequence in sequences:
+        counts = trackeval_counts(sequence.scene, sequence.similarity, threshold)
+        own = {
+            "truths": counts.matches + counts.misses,
+            **{key: value for key, value in vars(counts).items() if key in _CLEAR},
+            **{f"identity.{key}": value for key, value in vars(counts.identity).items()},
+            **{f"hota.{key}": value for key, value in vars(counts.hota).items()},
+        }
+        sums = {key: sums.get(key, 0) + value for key, value in own.items()}
+    parameters = {"similarity": similarity, "threshold": threshold}
+    return benchmark_evaluation(METRICS, sums, parameters, len(sequences))
+
+
+_CLEAR: Final = (
+    "matches",
+    "misses",
+    "false_positives",
+    "switches",
+    "fragmentations",
+    "similarity_sum",
+)
+
+
+@dataclass(frozen=True)
+class SimilarityScore:
+    """CLEAR, identity and HOTA over a similarity, the benchmark's ignored boxes left out.
+
+    measure : the similarity (Q,) of the scene's pairs, in [0, 1].
+    least, says : similarity from which a pair may match, and that in words.
+    farthest : boxes farther from the sensor, seen from above, in whose frame the boxes then are,
+        are left out, m.
+    """
+
+    measure: Callable[[Scene, ComparedSequence], FloatArray]
+    least: float
+    says: str
+    farthest: float = np.inf
+
+    def __call__(self, sequence: ComparedSequence, kind: str) -> Evaluation:
+        scene = make_scene(sequence.truth, sequence.tracks)
+        truth, tracks = (
+            np.hypot(side.position[:, 0], side.position[:, 1]) <= self.farthest
+            for side in (scene.truth, scene.tracks)
+        )
+        scene = scene.with_rows(truth, tracks)
+        similar = SimilarScene(scene=scene, similarity=self.measure(scene, sequence))
+        counted = similar.counted(self.least, sequence.excused[tracks])
+        return evaluate_trackeval([counted], threshold=self.least, similarity=self.says)
+
+
+def similarity_rule(
+    measure: Callable[[Scene, ComparedSequence], FloatArray],
+    least: float,
+    says: str,
+    farthest: float = np.inf,
+    *,
+    in_image: bool = False,
+) -> ScoringRule:
+    """The rule that scores by `SimilarityScore`."""
+    return ScoringRule(SimilarityScore(measure, least, says, farthest), says, _SHOWN, in_image)
+
+
+_SHOWN: Final = {
+    "MOTA": "mota",
+    "MOTP": "motp",
+    **ERRORS,
+    "IDF1": "idf1",
+    "HOTA": "hota",
+    "DetA": "deta",
+    "AssA": "assa",
+    "GT": "truths",
+}

@@ -11,19 +11,20 @@ with soft assignments W_k of objects to tracks, each row and column summing to a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import coo_array, eye_array, hstack, vstack
 from scipy.sparse.csgraph import connected_components
 
+from pmbm.arrays import FloatArray, IntArray
 from pmbm.errors import InputError
-from pmbm.metrics.gospa import check_cutoff_and_order
-from pmbm.metrics.scene import Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.formulas import Totals
+from pmbm.metrics.core.points import check_cutoff_and_order
+from pmbm.metrics.core.result import Counts, Metric
+from pmbm.metrics.core.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,3 +134,48 @@ def _assign(
     if not solution.success:
         raise RuntimeError(f"the linear program of a T-GOSPA cluster failed: {solution.message}")
     return solution.x[:size][cell], float(solution.x[size:].sum())
+
+
+@dataclass(frozen=True)
+class RootOfSum:
+    """The sum of the parts, to the power 1 / order."""
+
+    parts: tuple[str, ...]
+
+    def __call__(self, counts: Counts) -> float:
+        total: float = sum(counts[part] for part in self.parts) ** (1 / counts["order"])
+        return total
+
+
+def _count(work: Work) -> Tally:
+    p = work.parameters
+    result = tgospa(
+        work.scene, cutoff=p.tgospa_cutoff, order=p.tgospa_order, switch=p.tgospa_switch
+    )
+    return Tally.of(
+        {key: value for key, value in vars(result).items() if key != "distance"},
+        cutoff=p.tgospa_cutoff,
+        order=p.tgospa_order,
+        switch_cost=p.tgospa_switch,
+        distance="xy",
+    )
+
+
+_PARTS: Final = ("localisation", "missed", "false", "switch")
+
+FAMILY: Final = Family(
+    name="tgospa",
+    rule="trajectory GOSPA, a linear program: costly",
+    count=_count,
+    metrics=(
+        Metric(
+            name="tgospa",
+            unit="m",
+            direction="lower",
+            default=False,
+            question="How far are whole trajectories off, switches of identity included?",
+            formula=RootOfSum(_PARTS),
+            parts=Totals(_PARTS),
+        ),
+    ),
+)

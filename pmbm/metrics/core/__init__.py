@@ -1,0 +1,1 @@
+"""What all metrics share: scenes, matching, formulas, values."""
