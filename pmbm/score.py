@@ -92,7 +92,7 @@ class ScoreModel:
 
     def probability(self, score: ArrayLike) -> FloatArray:
         """(N,) calibrated P(true | score)."""
-        return _logistic(self._log_odds(score))
+        return _precise_logistic(self._log_odds(score))
 
     def log_likelihood_ratio(self, score: ArrayLike) -> FloatArray:
         """(N,) log p(score | object) / p(score | clutter): the log-odds less those of the base."""
@@ -103,7 +103,7 @@ class ScoreModel:
 
         The logistic of the log likelihood ratio.
         """
-        return _logistic(self.log_likelihood_ratio(score))
+        return _precise_logistic(self.log_likelihood_ratio(score))
 
     def _log_odds(self, score: ArrayLike) -> FloatArray:
         return np.interp(np.asarray(score, dtype=np.float64), self.knot, self.log_odds)
@@ -247,7 +247,13 @@ class Calibration:
         )
 
 
-def _logistic(x: FloatArray) -> FloatArray:
+def logistic(x: FloatArray) -> FloatArray:
+    """1 / (1 + exp(-x)) to an absolute error of rounding: 0 below -38."""
+    return 0.5 * (1.0 + np.tanh(x / 2))
+
+
+def _precise_logistic(x: FloatArray) -> FloatArray:
+    """`logistic` to a relative error of rounding, for small probabilities whose odds matter."""
     with np.errstate(over="ignore"):
         return 1.0 / (1.0 + np.exp(-x))
 

@@ -187,9 +187,10 @@ _GATE_OPTIONS = ("metric", "margin", "relative_margin", "alpha", "max_trials")
 def _study(name: str, given: Mapping[str, Any]) -> Study:
     from pmbm.cli.sources import resolve
     from pmbm.study import Cell, ConfiguredTracker, Study
+    from pmbm.study.file import load_study
 
     if name.endswith(".toml"):
-        study = Study.load(name, resolve)
+        study = load_study(name, resolve)
         tracker = given.get("tracker")
         if tracker is not None and tracker not in study.trackers and ":" in tracker:
             extra = {tracker: ConfiguredTracker(tracker)}

@@ -61,9 +61,10 @@ def command(
       pmbm study night.toml --scheduler tcp://10.0.0.1:8786 --export night.csv
     """
     from pmbm.cli.sources import resolve
-    from pmbm.study import Study, run_study
+    from pmbm.study import run_study
+    from pmbm.study.file import load_study
 
-    study = Study.load(file, resolve)
+    study = load_study(file, resolve)
     store = store or file.with_suffix(".sqlite")
     if replay is not None:
         return _replay(study, file, replay, out)

@@ -39,6 +39,7 @@ from pmbm.errors import InputError, nearest_hint
 from pmbm.geometry import wrap_angle
 from pmbm.metrics.benchmarks.kitti import RULES
 from pmbm.metrics.benchmarks.rules import ComparedSequence
+from pmbm.score import logistic
 from pmbm.types import (
     BoolArray,
     FloatArray,
@@ -224,7 +225,7 @@ class Kitti:
         assert results.score is not None
         score = results.score
         if len(score) and (score.min() < 0 or score.max() > 1):
-            score = _logistic(score)
+            score = logistic(score)
         boxes = []
         for rows in _by_frame(results, frames):
             boxes.append(replace(_boxes(results, rows), score=score[rows]))
@@ -456,7 +457,7 @@ def _boxes(objects: KittiObjects, rows: IntArray) -> SourceBoxes:
 def _detected(objects: KittiObjects, frames: int) -> list[SourceBoxes]:
     assert objects.score is not None
     confidence = np.array([_CONFIDENCE[kind] for kind in objects.type]).reshape(-1, 2)
-    score = _logistic(confidence[:, 0] * objects.score + confidence[:, 1])
+    score = logistic(confidence[:, 0] * objects.score + confidence[:, 1])
     return [
         replace(_boxes(objects, rows), score=score[rows], raw_score=objects.score[rows])
         for rows in _by_frame(objects, frames)
@@ -465,10 +466,6 @@ def _detected(objects: KittiObjects, frames: int) -> list[SourceBoxes]:
 
 def _merged(parts: Sequence[Sequence[SourceBoxes]], frames: int) -> list[SourceBoxes]:
     return [merge([part[k] for part in parts]) for k in range(frames)]
-
-
-def _logistic(value: FloatArray) -> FloatArray:
-    return 0.5 * (1.0 + np.tanh(value / 2))
 
 
 def _submission(frame: int, tracks: Tracks, pose: Pose, calibration: Calibration) -> KittiObjects:

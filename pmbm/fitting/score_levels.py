@@ -20,7 +20,7 @@ from pmbm.filter.models.protocols import SceneDensity
 from pmbm.filter.models.score_levels import ScoreLevels
 from pmbm.filter.models.scores import IgnoreScores
 from pmbm.filter.tracker import PMBMTracker
-from pmbm.score import Calibration
+from pmbm.score import Calibration, logistic
 from pmbm.types import CLUTTER, BoolArray, FloatArray, IntArray, Label, Recording
 
 _LEVELS = 24
@@ -271,7 +271,7 @@ def fit_levels(
     scenes, scene = np.unique(around[lasts], return_inverse=True)
     rows, shift = np.tile(design, (len(scenes), 1)), np.repeat(scenes, _LEVELS)
     for _ in range(_ROUNDS):
-        real = _logistic(design @ weight + around[lasts, None])
+        real = logistic(design @ weight + around[lasts, None])
         said = np.where(y[lasts, None], real, 1 - real).clip(1e-12)
         each = _normalised(fit[lasts] + np.log(birth) + np.log(said))
         birth = _shares(each.sum(axis=0))
@@ -300,7 +300,7 @@ def fit_levels(
         scatter=float(np.sqrt(variance)),
         birth=birth,
         birth_at=birth_at,
-        object=_logistic(design @ weight),
+        object=logistic(design @ weight),
         clutter=clutter,
     )
 
@@ -316,10 +316,6 @@ def _normalised(log_weight: FloatArray) -> FloatArray:
     return weight / weight.sum(axis=1, keepdims=True)
 
 
-def _logistic(x: FloatArray) -> FloatArray:
-    return 0.5 * (1.0 + np.tanh(x / 2))
-
-
 def _logistic_fit(
     design: FloatArray,
     positive: FloatArray,
@@ -333,7 +329,7 @@ def _logistic_fit(
     weight = np.zeros(design.shape[1]) if start is None else start
     ridge = 1e-2 * np.eye(design.shape[1])
     for _ in range(100):
-        q = _logistic(design @ weight + shift)
+        q = logistic(design @ weight + shift)
         curvature = design.T @ (design * (total * q * (1 - q))[:, None]) + ridge
         step = np.linalg.solve(curvature, design.T @ (positive - total * q) - ridge @ weight)
         weight = weight + np.clip(step, -2, 2)

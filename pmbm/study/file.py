@@ -82,11 +82,13 @@ class StudyForm(_Form):
     gate: GateForm | None = None
 
 
-def load_study(file: Path, resolve: Resolve) -> Study:
+def load_study(file: Path | str, resolve: Resolve) -> Study:
     """The study in a TOML file; names of scenarios that end in .toml are found beside it.
 
+    resolve : turns the names of scenarios into Sources.
     Raises InputError naming file and key.
     """
+    file = Path(file)
     form = _parse(file)
     try:
         return _study(form, file, resolve)

@@ -8,7 +8,6 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from pmbm.errors import InputError
@@ -75,17 +74,6 @@ class Study:
         for cell in self.cells:
             for tracker in cell.trackers.values():
                 tracker.bound()
-
-    @staticmethod
-    def load(file: Path | str, resolve: Resolve) -> Study:
-        """The study in a TOML file.
-
-        resolve : turns the names of scenarios into Sources.
-        Raises InputError naming file and key.
-        """
-        from pmbm.study.file import load_study
-
-        return load_study(Path(file), resolve)
 
     def __len__(self) -> int:
         return self.trials * len(self.cells)

@@ -90,7 +90,7 @@ OTHER_PLANTS = [
     ),
     Plant(
         "a switch to the same track",
-        "pmbm/metrics/families/clear.py",
+        "pmbm/metrics/core/clear_matching.py",
         "switch[order[1:]] = again & other",
         "switch[order[1:]] = again",
         by="tests/unit/test_metrics.py::test_a_perfect_run",
@@ -170,10 +170,18 @@ OTHER_PLANTS = [
     ),
     Plant(
         "frames of a run are independent",
-        "pmbm/metrics/core/formulas.py",
+        "pmbm/metrics/families/consistency.py",
         "reach = jackknife_reach(without, estimates)",
         "reach = 1.96 * (2 * STATE_DIMENSION / estimates.sum()) ** 0.5",
         by="tests/unit/test_metric_honesty.py::test_runs_that_differ_widen_the_bounds_of_nees",
         tests=("tests/unit/test_metric_honesty.py",),
+    ),
+    Plant(
+        "a value loses its formula on its way between processes",
+        "pmbm/metrics/core/result.py",
+        "values |= {name: dict(values[name]) for name in _READ_ONLY}",
+        "values |= {'definition': None} | {name: dict(values[name]) for name in _READ_ONLY}",
+        by="tests/unit/test_metrics.py::test_every_value_travels_and_combines",
+        tests=("tests/unit/test_metrics.py",),
     ),
 ]

@@ -8,7 +8,8 @@ import pytest
 
 from pmbm.cli.sources import resolve
 from pmbm.filter import PMBMConfig
-from pmbm.study import Study, load_results
+from pmbm.study import load_results
+from pmbm.study.file import load_study
 from pmbm.tracking import SHIPPED_BOUNDS, SHIPPED_TRACKERS
 from pmbm.tune import FIRST_REPORTING_SEED
 from reports.versus import compare
@@ -24,7 +25,7 @@ DEMANDING = (
 
 
 def test_the_study_leaves_nothing_out():
-    study = Study.load(FILE, resolve)
+    study = load_study(FILE, resolve)
     assert sorted(cell.scenario for cell in study.cells) == sorted(scenario_names())
     assert all(not cell.point for cell in study.cells)
     assert set(study.trackers) == {*SHIPPED_TRACKERS, *SHIPPED_BOUNDS}

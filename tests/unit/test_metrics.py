@@ -11,6 +11,7 @@ from metric_builders import recording_of, run_of, tracks_frame, truth_frame
 from pmbm.errors import InputError
 from pmbm.labels import Label
 from pmbm.metrics import MetricParameters, combine, evaluate, gospa, ospa
+from pmbm.metrics.catalogue import names
 from pmbm.metrics.core.scene import sorted_boxes
 from pmbm.types import TrackSequence
 
@@ -359,6 +360,17 @@ def test_an_evaluation_is_a_picklable_mapping_with_a_table():
         value.parameters["cutoff"] = 1
     assert "id_switches" in str(evaluation)
     assert "undefined" in str(evaluation)
+
+
+def test_every_value_travels_and_combines():
+    """Formulas pickle and print as values: no function of one's own is behind them."""
+    evaluation = evaluate(*run_of([{CAR: (0, 0)}] * 2, [{7: (0.5, 0)}, {}]), names())
+    copy = pickle.loads(pickle.dumps(evaluation))
+    both, expected = combine([copy, copy]), combine([evaluation, evaluation])
+    assert both.scalars() == expected.scalars()
+    for name, value in copy.items():
+        assert value.definition == evaluation[name].definition
+        assert "<" not in str(value.definition), name
 
 
 @pytest.mark.parametrize("name", ["gopsa", "gopsa_observable"])

@@ -1,5 +1,7 @@
 """`pmbm metrics` lists every metric with its question."""
 
+from pathlib import Path
+
 import pytest
 
 from pmbm.cli import main
@@ -33,3 +35,11 @@ def test_one_metric_is_told_alone(capsys, monkeypatch):
 def test_an_unknown_metric_names_the_nearest(capsys):
     assert pmbm("metrics", "gopsa") == 2
     assert "did you mean 'gospa'?" in capsys.readouterr().err
+
+
+def test_the_page_is_what_is_printed(capsys, tmp_path):
+    page = Path(__file__).parents[2] / "docs" / "metrics.md"
+    assert pmbm("metrics", "--markdown", "-") == 0
+    assert capsys.readouterr().out == page.read_text(encoding="utf-8")
+    assert pmbm("metrics", "--markdown", str(tmp_path / "page.md")) == 0
+    assert (tmp_path / "page.md").read_bytes() == page.read_bytes()

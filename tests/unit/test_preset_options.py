@@ -10,7 +10,7 @@ import pytest
 
 from pmbm.cli.sources import resolve
 from pmbm.filter import PMBMConfig
-from pmbm.study import Study
+from pmbm.study.file import load_study
 from pmbm.tracking import make_tracker
 from pmbm.types import Site
 
@@ -33,7 +33,7 @@ OPTIONS = {
 
 @pytest.fixture(scope="module")
 def trackers():
-    return Study.load(STUDY, resolve).cells[0].trackers
+    return load_study(STUDY, resolve).cells[0].trackers
 
 
 def config_of(tracker):
@@ -75,5 +75,5 @@ def test_the_options_together_are_the_presets(trackers):
 
 def test_the_page_shows_every_tracker_and_scenario(trackers):
     page = PAGE.read_text(encoding="utf-8")
-    for name in [*trackers, *(cell.scenario for cell in Study.load(STUDY, resolve).cells)]:
+    for name in [*trackers, *(cell.scenario for cell in load_study(STUDY, resolve).cells)]:
         assert name in page

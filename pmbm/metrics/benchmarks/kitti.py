@@ -49,6 +49,16 @@ class KittiScene:
     ignored_truth: BoolArray
     ignored_tracks: BoolArray
 
+    @classmethod
+    def plain(cls, scene: Scene, overlap: FloatArray) -> KittiScene:
+        """With nothing ignored."""
+        return cls(
+            scene=scene,
+            overlap=overlap,
+            ignored_truth=np.zeros(len(scene.truth), np.bool_),
+            ignored_tracks=np.zeros(len(scene.tracks), np.bool_),
+        )
+
     def with_tracks(self, rows: BoolArray) -> KittiScene:
         """Only these track rows."""
         return KittiScene(

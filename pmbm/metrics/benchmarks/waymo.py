@@ -24,7 +24,7 @@ from pmbm.metrics.benchmarks.rules import (
 from pmbm.metrics.core.formulas import NO_TRUTH
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.result import Counts, Evaluation, Undefined
-from pmbm.metrics.core.scene import Scene, make_scene, pair_overlap
+from pmbm.metrics.core.scene import Boxes, Scene, make_scene, pair_overlap
 
 CUTOFFS: Final[FloatArray] = np.append(np.arange(100) * 0.01, 1.0)
 """Scores are compared with them in single precision, as they are stored."""
@@ -36,7 +36,7 @@ _SMALLEST_SIDE: Final = 0.01
 class WaymoScene:
     """One sequence and object type.
 
-    scene : truth and tracks.
+    scene : truth and tracks; positions in the vehicle's frame where ranges are asked for.
     overlap (Q,) : 3D IoU of the scene's pairs.
     level (N,) : difficulty of each truth row; anything but 2 is level 1.
     in_no_label_zone (K,) : track rows that overlap a no-label zone, not false where unmatched.
@@ -46,6 +46,25 @@ class WaymoScene:
     overlap: FloatArray
     level: IntArray
     in_no_label_zone: BoolArray
+
+    def within(self, low: float, high: float) -> WaymoScene:
+        """Only boxes, of either side on their own, with low <= distance < high, m."""
+        truth = _between(self.scene.truth, low, high)
+        tracks = _between(self.scene.tracks, low, high)
+        pairs = self.scene.pairs
+        both = np.flatnonzero(truth[pairs.truth] & tracks[pairs.track])
+        return WaymoScene(
+            scene=self.scene.with_rows(truth, tracks),
+            overlap=self.overlap[both],
+            level=self.level[truth],
+            in_no_label_zone=self.in_no_label_zone[tracks],
+        )
+
+
+def _between(boxes: Boxes, low: float, high: float) -> BoolArray:
+    away: FloatArray = np.sqrt((boxes.position**2).sum(axis=1))
+    inside: BoolArray = (low <= away) & (away < high)
+    return inside
 
 
 def waymo_overlap(scene: Scene) -> FloatArray:

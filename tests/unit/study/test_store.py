@@ -14,7 +14,8 @@ import pytest
 from study_worlds import Convoy
 
 from pmbm.errors import InputError
-from pmbm.study import Study, export, load_results, read_store, run_study, store
+from pmbm.study import export, load_results, read_store, run_study, store
+from pmbm.study.file import load_study
 
 TEXT = """
 scenarios = ["convoy"]
@@ -30,7 +31,7 @@ noise = [0.1, 0.5]
 def study(tmp_path):
     file = tmp_path / "night.toml"
     file.write_text(TEXT)
-    return Study.load(file, lambda name, overrides: Convoy(frames=3, **overrides))
+    return load_study(file, lambda name, overrides: Convoy(frames=3, **overrides))
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ from study_worlds import Convoy, Echo
 
 from pmbm.errors import InputError
 from pmbm.filter import PMBMTracker
-from pmbm.study import ConfiguredTracker, Study
+from pmbm.study import ConfiguredTracker
 from pmbm.study.code import code_version
 from pmbm.study.design import grid, latin_hypercube
-from pmbm.study.file import json_schema
+from pmbm.study.file import json_schema, load_study
 from pmbm.types import Site
 
 
@@ -31,7 +31,7 @@ def written(tmp_path, text):
 
 
 def load(tmp_path, text):
-    return Study.load(written(tmp_path, text), resolve)
+    return load_study(written(tmp_path, text), resolve)
 
 
 SMALL = """
@@ -132,7 +132,7 @@ def test_the_source_itself_is_in_the_hash(tmp_path):
         document: object = None
 
     def hash_of(**values):
-        return Study.load(written(tmp_path, SMALL), lambda *_: Document(**values)).hash
+        return load_study(written(tmp_path, SMALL), lambda *_: Document(**values)).hash
 
     assert hash_of(document={"a": 1}) == hash_of(document={"a": 1})
     assert hash_of(document={"a": 1}) != hash_of(document={"a": 2})
@@ -154,8 +154,8 @@ def test_the_hash_is_the_same_in_another_process(tmp_path):
     file = written(tmp_path, SMALL)
     code = (
         "import sys; sys.path[:0] = sys.argv[2:]\n"
-        "from study_worlds import Convoy\nfrom pmbm.study import Study\n"
-        "print(Study.load(sys.argv[1], lambda name, overrides: Convoy(**overrides)).hash)"
+        "from study_worlds import Convoy\nfrom pmbm.study.file import load_study\n"
+        "print(load_study(sys.argv[1], lambda name, overrides: Convoy(**overrides)).hash)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, str(file), *sys.path],
@@ -208,7 +208,7 @@ def test_a_bad_file_is_named_with_its_key(tmp_path, text, words):
 
 def test_no_file():
     with pytest.raises(InputError, match=r"nowhere\.toml"):
-        Study.load("nowhere.toml", resolve)
+        load_study("nowhere.toml", resolve)
 
 
 def test_a_grid_is_every_combination():
