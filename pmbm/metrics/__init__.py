@@ -1,14 +1,15 @@
 """Metrics of multi-object tracking, each by its published rule.
 
-`evaluate` scores a run and `combine` several as one; `catalogue` holds the names.  The functions
-behind them are pure and may be used alone, on a `scene.Scene` of truth and tracks:
+`evaluate` scores a run and `combine` several as one; `catalogue` holds the names.
 
-- distances of sets: gospa, ospa; of whole tracks: trajectory (OSPA(2)), tgospa;
-- matching frame by frame: clear; of identities: identity; of both: hota; siap;
-- what a testbed asks besides: testbed, consistency (NEES), calibration;
-- the benchmarks by their own rules, quirks included: argoverse1, waymo, kitti, nuscenes,
-  trackeval, and `benchmarks`, which gives their scores as evaluations.
+- core: scenes, matching, formulas and values, which all metrics share;
+- families: one module for metrics that are counted together, with its count function;
+- benchmarks: one module for each benchmark, by its own rules, quirks included.
+
+The functions of families and benchmarks are pure and may be used alone, on a `core.scene.Scene` of
+truth and tracks.
 """
+
 
 from pmbm.metrics.catalogue import DEFAULT_METRICS
 from pmbm.metrics.core.parameters import MetricParameters
