@@ -13,7 +13,7 @@ import numpy as np
 from pmbm.study import Estimate
 from reports.drawing import colours_of, styled
 from reports.palette import tracker_colour
-from reports.tables import Metric
+from reports.tables import ShownMetric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +29,7 @@ class Curve:
     connected : whether levels are few and shared (a grid), not scattered samples.
     """
 
-    metric: Metric
+    metric: ShownMetric
     levels: tuple[float | str, ...]
     lines: Mapping[str, tuple[Estimate, ...]]
     connected: bool = True

@@ -42,7 +42,7 @@ _MIDDLE, _REACH = 75.0, 68.0
 
 
 @dataclass(frozen=True)
-class Metric:
+class ShownMetric:
     """A metric as it is shown: name for people, unit, direction, and the question it answers."""
 
     key: str
@@ -114,19 +114,19 @@ class Table:
     rows: tuple[Row, ...]
 
 
-def shown_metric(key: str) -> Metric:
+def shown_metric(key: str) -> ShownMetric:
     """How a metric is shown; one that the catalogue does not know is shown by its key."""
     try:
         entry = definition(key)
     except InputError:
-        return Metric(key, key, "", "", "")
+        return ShownMetric(key, key, "", "", "")
     base = key.removesuffix("_observable")
     words = [
         _SPELT.get(word, word.upper() if word in _ACRONYMS else word) for word in base.split("_")
     ]
     name = " ".join(words) + (", observable" if base != key else "")
     unit = {"1": "", "m^p": "m²"}.get(entry.unit, entry.unit)
-    return Metric(key, name, unit, _ARROWS[entry.direction], entry.answers)
+    return ShownMetric(key, name, unit, _ARROWS[entry.direction], entry.question)
 
 
 def metric_tables(summary: Summary) -> tuple[Table, Table | None]:
@@ -208,7 +208,7 @@ def words(estimate: Estimate | None, trials: int, *, signed: bool = False) -> Te
 
 
 def difference(
-    value: Estimate | None, metric: Metric, trials: int, reach: float | None = None
+    value: Estimate | None, metric: ShownMetric, trials: int, reach: float | None = None
 ) -> Difference | None:
     """A paired difference in words and as a bar about zero."""
     text = words(value, trials, signed=True)

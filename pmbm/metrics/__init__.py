@@ -10,7 +10,6 @@ The functions of families and benchmarks are pure and may be used alone, on a `c
 truth and tracks.
 """
 
-
 from pmbm.metrics.catalogue import DEFAULT_METRICS
 from pmbm.metrics.core.parameters import MetricParameters
 from pmbm.metrics.core.result import Evaluation, MetricValue, combine
