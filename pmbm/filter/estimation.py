@@ -15,6 +15,8 @@ from pmbm.filter.density import Density, Index, Locals, summed
 from pmbm.kernels import twin
 from pmbm.types import FloatArray
 
+_ALIKE = 1e-9
+"""Relative difference of masses below which rounding must not choose between them."""
 _WHOLE = 1.5
 """A box this many times as large as another at its place is the whole of which that is a part."""
 
@@ -39,15 +41,21 @@ def marginals(density: Density) -> Marginals:
     local, tracks = density.local, len(density.track_id)
     mass = density.hypothesis_probability() * local.existence
     existence = summed(mass, local.track, tracks)
-    best = _likeliest(local.track, mass, tracks)
+    best = _likeliest(local.track, mass, tracks, _ALIKE)
     return Marginals(existence.clip(max=1.0), _by_class(local, mass, tracks), best)
 
 
 @twin("likeliest")
-def _likeliest(track: Index, mass: FloatArray, tracks: int) -> Index:
-    """(tracks,) the row of the largest mass of each track."""
-    order = np.lexsort((-mass, track))
-    return order[np.flatnonzero(np.diff(track[order], prepend=-1))]
+def _likeliest(track: Index, mass: FloatArray, tracks: int, alike: float) -> Index:
+    """(tracks,) of each track the row of the largest mass, the first of those that are alike."""
+    order = np.argsort(track, kind="stable")
+    first = np.flatnonzero(np.diff(track[order], prepend=-1))
+    if not len(first):
+        return order
+    top = np.maximum.reduceat(mass[order], first)
+    count = np.diff(first, append=len(order))
+    near = np.flatnonzero(mass[order] >= np.repeat(top * (1 - alike), count))
+    return order[near[np.searchsorted(near, first)]]
 
 
 def _by_class(local: Locals, mass: FloatArray, tracks: int) -> FloatArray:

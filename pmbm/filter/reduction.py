@@ -30,6 +30,8 @@ from pmbm.types import FloatArray
 _FEW = 20
 _ALIKE = 1.0
 """Largest difference of log position areas (of log sds, summed) between components that merge."""
+_AS_HEAVY = 1e-6
+"""Difference of log weights of components that are as heavy as each other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,12 +268,18 @@ def merge_mixture(mixture: Mixture, threshold: float) -> Mixture:
 
 def _groups(mixture: Mixture, threshold: float) -> Index:
     """(P,) the component, by row, that each one is merged into."""
-    return _merge_groups(mixture.log_weight, mixture.mean, mixture.cov, threshold, _ALIKE)
+    columns = mixture.log_weight, mixture.mean, mixture.cov
+    return _merge_groups(*columns, threshold, _ALIKE, _AS_HEAVY)
 
 
 @twin("merge_groups")
 def _merge_groups(
-    log_weight: FloatArray, mean: FloatArray, cov: FloatArray, threshold: float, alike: float
+    log_weight: FloatArray,
+    mean: FloatArray,
+    cov: FloatArray,
+    threshold: float,
+    alike: float,
+    as_heavy: float,
 ) -> Index:
     mixture = Mixture(log_weight, mean, cov)
     one, other = _close_pairs(mixture, threshold, alike)
@@ -283,7 +291,9 @@ def _merge_groups(
         neighbours.setdefault(i, []).append(j)
     free = np.ones(len(mixture), bool)
     involved = np.fromiter(neighbours, np.intp)
-    heaviest_first = involved[np.argsort(-mixture.log_weight[involved], kind="stable")]
+    # Births weigh the same in many places: rounding must not put one first.
+    weight = np.rint(log_weight[involved] / as_heavy)
+    heaviest_first = involved[np.lexsort((involved, -weight))]
     for head in heaviest_first.tolist():
         if free[head]:
             free[head] = False

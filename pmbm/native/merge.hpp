@@ -40,10 +40,11 @@ struct Cholesky {
 };
 
 // The component, by row, that each one is merged into: the heaviest first takes in the lighter ones
-// below `threshold` under either covariance whose log position areas differ by at most `alike`.
+// below `threshold` under either covariance whose log position areas differ by at most `alike`; log
+// weights that differ by less than `as_heavy` are equal, and the first of them comes first.
 inline std::vector<std::int64_t> merge_groups(const double* log_weight, const double* mean,
                                               const double* cov, std::size_t count,
-                                              double threshold, double alike) {
+                                              double threshold, double alike, double as_heavy) {
     std::vector<double> area(count), place(2 * count);
     std::vector<Cholesky> root;
     for (std::size_t i = 0; i < count; ++i) {
@@ -57,8 +58,10 @@ inline std::vector<std::int64_t> merge_groups(const double* log_weight, const do
     std::vector<std::int64_t> group(count), order(count);
     std::iota(group.begin(), group.end(), 0);
     std::iota(order.begin(), order.end(), 0);
+    std::vector<double> heavy(count);
+    for (std::size_t i = 0; i < count; ++i) heavy[i] = std::nearbyint(log_weight[i] / as_heavy);
     std::stable_sort(order.begin(), order.end(),
-                     [&](auto a, auto b) { return log_weight[a] > log_weight[b]; });
+                     [&](auto a, auto b) { return heavy[a] > heavy[b]; });
     std::vector<unsigned char> free(count, 1);
     const Grid grid(place.data(), count);
     for (const auto head : order) {

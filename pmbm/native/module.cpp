@@ -301,10 +301,10 @@ nb::tuple reduced(Input<std::int64_t> cluster, Input<double> log_weight, Input<s
 }
 
 Output<std::int64_t> merge_groups(Input<double> log_weight, Table<double> mean, Table<double> cov,
-                                  double threshold, double alike) {
+                                  double threshold, double alike, double as_heavy) {
     nb::gil_scoped_release released;
     auto group = pmbm::merge_groups(log_weight.data(), mean.data(), cov.data(), log_weight.size(),
-                                    threshold, alike);
+                                    threshold, alike, as_heavy);
     nb::gil_scoped_acquire held;
     return hand_over(std::move(group));
 }
@@ -320,9 +320,9 @@ nb::tuple box_rays(Table<double> offset, Table<double> box, Input<double> widen,
 }
 
 Output<std::int64_t> likeliest(Input<std::int64_t> track, Input<double> mass,
-                               std::int64_t tracks) {
+                               std::int64_t tracks, double alike) {
     return hand_over(pmbm::likeliest(track.data(), mass.data(), track.size(),
-                                     static_cast<std::size_t>(tracks)));
+                                     static_cast<std::size_t>(tracks), alike));
 }
 
 Output<double> probability(Input<std::int64_t> cluster, Input<double> log_weight,

@@ -22,6 +22,8 @@ struct BoxRays {
 };
 
 constexpr double kPi = 3.14159265358979323846;
+// Of a bearing: what lies nearer below its edge is on the edge.
+constexpr double kOnEdge = 1e-6;
 
 // The bearings first to last whose centres lie within an extent; none where last < first.
 struct Extent {
@@ -67,7 +69,8 @@ inline BoxRays box_rays(const double* offset, const double* box, const double* w
         }
         auto core = Extent::of(middle + low, middle + high, step);
         if (core.last < core.first) {
-            core.first = core.last = static_cast<std::int64_t>(std::floor(middle / step));
+            core.first = core.last =
+                static_cast<std::int64_t>(std::floor(middle / step + kOnEdge));
         }
         const double margin = std::atan2(widen[b], std::max(range, 1e-9));
         auto all = Extent::of(middle + std::max(low - margin, -3.0),

@@ -379,13 +379,20 @@ inline Ints used(const std::int64_t* member, std::size_t members,
     return renumbered;
 }
 
-// Of each track (T,) the row of the largest mass, the first of them.
+// Of each track (T,) the row of the largest mass, the first of those that are `alike` it.  The plain
+// version is _likeliest() of estimation.py.
 inline Ints likeliest(const std::int64_t* track, const double* mass, std::size_t rows,
-                      std::size_t tracks) {
+                      std::size_t tracks, double alike) {
+    Floats top(tracks, 0.0);
+    for (std::size_t row = 0; row < rows; ++row) {
+        top[track[row]] = std::max(top[track[row]], mass[row]);
+    }
     Ints best(tracks, -1);
     for (std::size_t row = 0; row < rows; ++row) {
         auto& leader = best[track[row]];
-        if (leader < 0 || mass[row] > mass[leader]) leader = static_cast<std::int64_t>(row);
+        if (leader < 0 && mass[row] >= top[track[row]] * (1 - alike)) {
+            leader = static_cast<std::int64_t>(row);
+        }
     }
     return best;
 }

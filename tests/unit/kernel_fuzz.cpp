@@ -394,7 +394,7 @@ void fuzz_gate() {
                 2 * kept == kept_whitened.size(),
             "an impossible pair");
     const auto groups =
-        pmbm::merge_groups(height.data(), mean.data(), cov.data(), n, threshold, chance());
+        pmbm::merge_groups(height.data(), mean.data(), cov.data(), n, threshold, chance(), 1e-6);
     for (std::size_t i = 0; i < n; ++i) {
         const auto head = groups[i];
         require(head >= 0 && head < static_cast<std::int64_t>(n) && groups[head] == head,

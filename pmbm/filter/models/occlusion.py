@@ -26,6 +26,9 @@ from pmbm.types import FloatArray
 _IGNORED_EXISTENCE = 0.05
 """Tracks that exist less probably hide nothing: most are clutter, seen once."""
 _CERTAIN = 1 - 1e-9
+_TOUCHING = 1e-6
+"""m; what is not nearer by more hides nothing, so that of two boxes of one front rounding hides
+neither."""
 _VAGUE = 1.0
 """m; of tracks whose position has a wider standard deviation, where they are hidden counts, too."""
 _MOVES = 2.0
@@ -261,7 +264,7 @@ class Shadows:
     def _log_open(self, bearing: Index, distance: FloatArray) -> FloatArray:
         """(n,) log of the probability that nothing stands nearer than `distance` at these bearings
         (n,)."""
-        nearer = np.searchsorted(self.key, ray_key(bearing, distance), side="left")
+        nearer = np.searchsorted(self.key, ray_key(bearing, distance - _TOUCHING), side="left")
         log_open: FloatArray = self.log_open_before[nearer]
         log_open -= self.log_open_before[self.start[bearing]]
         return log_open
@@ -272,8 +275,8 @@ class Shadows:
         offset = np.mod(bearing - self.rays.bearing[first], BEARINGS)
         covers = (own >= 0) & (offset < self.rays.first[own + 1] - self.rays.first[own])
         at = np.where(covers, first + offset, 0)
-        nearer = covers & (ray_key(bearing, self.rays.distance[at]) < ray_key(bearing, distance))
-        return np.where(nearer, self.log_open[own], 0.0)
+        hides = ray_key(bearing, self.rays.distance[at]) < ray_key(bearing, distance - _TOUCHING)
+        return np.where(covers & hides, self.log_open[own], 0.0)
 
 
 def _targets(pose: FloatArray, local: Locals) -> Rays:

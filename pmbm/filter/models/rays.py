@@ -22,6 +22,9 @@ FAR = 1e5
 _COS, _SIN = np.cos((np.arange(BEARINGS) + 0.5) * STEP), np.sin((np.arange(BEARINGS) + 0.5) * STEP)
 _HALVES = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
 _PARALLEL = 1e-12
+_ON_EDGE = 1e-6
+"""Of a bearing: what lies nearer below its edge is on the edge, so that rounding decides nothing of
+what lies straight ahead or abeam."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -65,7 +68,7 @@ class Rays:
 
 def bearing_of(angle: FloatArray) -> Index:
     """The bearings in which angles from the sensor's yaw lie."""
-    return np.mod(np.floor(angle / STEP).astype(np.intp), BEARINGS)
+    return np.mod(np.floor(angle / STEP + _ON_EDGE).astype(np.intp), BEARINGS)
 
 
 def box_rays(
@@ -113,7 +116,7 @@ def _box_rays(
     end = np.floor((middle + high) / STEP - 0.5).astype(np.intp)
     thin = end < begin
     if thin.any():
-        begin[thin] = end[thin] = np.floor(middle[thin] / STEP).astype(np.intp)
+        begin[thin] = end[thin] = np.floor(middle[thin] / STEP + _ON_EDGE).astype(np.intp)
     margin = np.arctan2(widen, np.maximum(range_, 1e-9))
     low, high = np.maximum(low - margin, -3.0), np.minimum(high + margin, 3.0)
     core_begin, core_end = begin, end

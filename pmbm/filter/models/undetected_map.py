@@ -36,6 +36,15 @@ _PART_SPACING = 1.75
 """Distance of the parts of a wider one, in their own standard deviations: their sum is smooth."""
 _SLOW = 6.0
 """m/s; velocity components within this are one class, faster ones, either way, two others."""
+_ROUND = 0.1
+"""Relative difference of variances below which a Gaussian is nearly round."""
+_ON_EDGE = 1e-6
+"""Of a cell, or m: what lies nearer to an edge is on it, whatever the rounding."""
+_ALIKE = 1e-6
+"""Difference of log weights, or of distances in `WIDEST`, below which these are taken to be equal,
+so that rounding decides nothing: on a lattice many are."""
+_NEIGHBOURS = 8
+"""At most so many components are equally near to one."""
 _CODE = 1 << 31
 
 
@@ -62,12 +71,12 @@ class MapCells:
         i, j = (grid.ravel() for grid in np.meshgrid(low[0] + steps, low[1] + steps, indexing="ij"))
         centre = (np.column_stack([i, j]) + 0.5) * spacing
         outside = beyond(view, centre)
-        near = outside <= _MARGIN * spacing
+        near = outside <= _MARGIN * spacing + _ON_EDGE
         code, centre, outside = (i * _CODE + j)[near], centre[near], outside[near]
         share = np.ones(len(code))
         if site.drivable_area is not None:
             centre, share = _drivable(site.drivable_area, code, centre, spacing, known)
-        edge = (outside <= 0) & (outside > -_MARGIN * spacing)
+        edge = (outside <= _ON_EDGE) & (outside > -_MARGIN * spacing + _ON_EDGE)
         return MapCells(code, centre, share, edge)
 
     @property
@@ -125,19 +134,19 @@ def reduce_map(
     nearest neighbours: all of these keep mass, mean and covariance of the whole.
     """
     total = np.exp(mixture.log_weight).sum()
-    on_map = beyond(view, mixture.mean[:, :2]) <= _MARGIN * spacing
+    on_map = beyond(view, mixture.mean[:, :2]) <= _MARGIN * spacing + _ON_EDGE
     kept = mixture.take(np.flatnonzero(on_map & (mixture.log_weight > _log(negligible))))
     dropped = total - np.exp(kept.log_weight).sum()
     narrow = narrowed(kept)
     # At the edge objects only come and go; what they do there later is of no use.
-    inner = beyond(view, narrow.mean[:, :2]) <= -_MARGIN * spacing
+    inner = beyond(view, narrow.mean[:, :2]) <= -_MARGIN * spacing + _ON_EDGE
     settled = capped(merged_by_cell(narrow, spacing, fine_above, inner), most)
     return settled, float(dropped)
 
 
 def narrowed(mixture: Mixture, widest: float = WIDEST) -> Mixture:
     """Every component whose position is wider than `widest` along its longest axis, in parts along
-    that axis, again until all are narrow.
+    that axis, again until all are narrow, to a few hundredths.
 
     The parts have the mass, mean and covariance of the whole; of a component at most twice as wide
     as it may be they have five moments.  Each has the velocity that goes with its place.
@@ -188,7 +197,7 @@ def merged_by_cell(
 
     may_be_fine : whether the latter holds of every component, or of each (P,).
     """
-    cell = np.floor(mixture.mean[:, :2] / spacing).astype(np.int64)
+    cell = np.floor(mixture.mean[:, :2] / spacing + _ON_EDGE).astype(np.int64)
     cell = cell[:, 0] * _CODE + cell[:, 1]
     v = mixture.mean[:, 2:]
     fast = 1 + (v > _SLOW).astype(np.int64) - (v < -_SLOW)
@@ -202,14 +211,18 @@ def merged_by_cell(
 
 
 def capped(mixture: Mixture, most: int) -> Mixture:
-    """At most so many components: each of the lightest joins the nearest of the others."""
+    """At most so many components: each of the lightest joins the nearest of the others, the first
+    of those that are equally near."""
     if len(mixture) <= most:
         return mixture
-    order = np.argsort(-mixture.log_weight, kind="stable")
+    order = np.argsort(-np.rint(mixture.log_weight / _ALIKE), kind="stable")
     place = mixture.mean[:, :2]
     group = np.empty(len(mixture), np.int64)
     group[order[:most]] = np.arange(most)
-    group[order[most:]] = cKDTree(place[order[:most]]).query(place[order[most:]])[1]
+    tree, lightest = cKDTree(place[order[:most]]), order[most:]
+    distance, found = tree.query(place[lightest], k=np.arange(1, min(_NEIGHBOURS, most) + 1))
+    near = distance <= distance[:, :1] + _ALIKE * WIDEST
+    group[lightest] = np.where(near, found, most).min(axis=1)
     return _merged(mixture, group)
 
 
@@ -240,12 +253,18 @@ def _runs(key: Index) -> Index:
 
 
 def _longest(cov: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Largest variance (P,) of the position along any axis, and that axis (P,2)."""
+    """An axis (P,2) along which the position is widest, and its variance along that (P,).
+
+    Of Gaussians that are nearly round it is the world's first axis, so that rounding does not turn
+    it; one along the world's second always points the same way.
+    """
     a, b, d = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
-    angle = 0.5 * np.arctan2(2 * b, a - d)
-    return 0.5 * (a + d) + np.hypot(0.5 * (a - d), b), np.column_stack(
-        [np.cos(angle), np.sin(angle)]
-    )
+    least = 0.5 * _ROUND * (a + d)
+    between, tilt = np.where(np.abs(a - d) > least, a - d, 0), np.where(np.abs(b) > least, b, 0)
+    angle = 0.5 * np.arctan2(2 * tilt, between)
+    cos, sin = np.cos(angle), np.sin(angle)
+    variance = a * cos * cos + 2 * b * cos * sin + d * sin * sin
+    return variance, np.column_stack([cos, sin])
 
 
 def _drivable(
@@ -270,7 +289,7 @@ def _drivable(
     point = centre[rows][:, None] + offset
     inside = np.zeros(point.shape[:2], bool)
     for polygon in area:
-        inside |= points_in_polygon(point.reshape(-1, 2), polygon).reshape(inside.shape)
+        inside |= points_in_polygon(point.reshape(-1, 2) + _ON_EDGE, polygon).reshape(inside.shape)
     share[rows] = inside.mean(axis=1)
     count = np.maximum(inside.sum(axis=1), 1)
     centre[rows] += (inside[:, :, None] * offset).sum(axis=1) / count[:, None]
