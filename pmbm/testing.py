@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmbm.durable import replace_text
-from pmbm.errors import InputError
 from pmbm.metrics import evaluate
 from pmbm.metrics.catalogue import definition
 from pmbm.seeding import tracker_seed
@@ -302,15 +301,9 @@ class TrackingGate:
 def _source(source: Source | str, level: Any) -> Source:
     """The source itself, or the scenario of that name or file, at a level of its sweep."""
     if isinstance(source, str):
-        import sim
+        from pmbm.sim import load_scenario
 
-        if not hasattr(sim, "load_scenario"):
-            raise InputError(
-                "the folder 'sim' hides the package of that name",
-                got=getattr(sim, "__file__", None) or list(sim.__path__),
-                hint="rename it, or run the tests from another folder",
-            )
-        found: Any = sim.load_scenario(source)
+        found: Any = load_scenario(source)
     else:
         found = source
     return found if level is None else found.at(level)
@@ -325,7 +318,7 @@ def _write_page(
     trial: int,
     command: str,
 ) -> Path:
-    from reports.replays import trial_page
+    from pmbm.reports.replays import trial_page
 
     page = trial_page(source, trackers, seed, trial, title=node, command=command)
     folder.mkdir(parents=True, exist_ok=True)

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pmbm.reports.drawing import colours_of, styled
+from pmbm.reports.palette import tracker_colour
+from pmbm.reports.tables import ShownMetric
 from pmbm.study import Estimate
-from reports.drawing import colours_of, styled
-from reports.palette import tracker_colour
-from reports.tables import ShownMetric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

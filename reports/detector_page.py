@@ -10,13 +10,13 @@ import numpy as np
 from scipy import special
 
 from pmbm.labels import Label
+from pmbm.reports.curves import svg_image
+from pmbm.reports.drawing import colours_of, styled
+from pmbm.reports.page import render_page
+from pmbm.sim.fit.goodness_of_fit import Comparison
+from pmbm.sim.fit.observations import Evidence
+from pmbm.sim.fit.two_sample import TwoSample
 from pmbm.types import FloatArray
-from reports.curves import svg_image
-from reports.drawing import colours_of, styled
-from reports.page import render_page
-from sim.evidence import Evidence
-from sim.likeness import Comparison
-from sim.realism import TwoSample
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 
 from pmbm.durable import replace_bytes
 from pmbm.geometry import corners
+from pmbm.reports.matching import matched
+from pmbm.reports.palette import DARK, LIGHT
+from pmbm.reports.shadows import field_of_view, hidden_region, rings
 from pmbm.types import Detections, FloatArray, GaussianMixture, GroundTruth, Site, Tracks
-from reports.matching import matched
-from reports.palette import DARK, LIGHT
-from reports.shadows import field_of_view, hidden_region, rings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

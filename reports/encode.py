@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmbm.labels import Label
+from pmbm.reports.hidden_grid import CODES, DECADES, LOWEST, hidden_grid
+from pmbm.reports.matching import BoolPair, first_detection, identity_switches, matched
+from pmbm.reports.values import Replay
 from pmbm.types import CLUTTER, FloatArray, IntArray, Recording, Tracks, TrackSequence
-from reports.hidden_grid import CODES, DECADES, LOWEST, hidden_grid
-from reports.matching import BoolPair, first_detection, identity_switches, matched
-from reports.values import Replay
 
 METRE, RADIAN, SHARE, SPEED = 0.01, 0.001, 0.01, 0.05
 """Resolution of lengths, angles, shares and speeds; far finer than a screen shows."""

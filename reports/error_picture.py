@@ -9,9 +9,9 @@ import numpy as np
 
 from pmbm.errors import InputError
 from pmbm.metrics import Evaluation, evaluate
+from pmbm.reports.drawing import colours_of, styled
+from pmbm.reports.palette import tracker_colour
 from pmbm.types import FloatArray, Recording, TrackSequence
-from reports.drawing import colours_of, styled
-from reports.palette import tracker_colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

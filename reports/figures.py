@@ -10,8 +10,7 @@ import shapely
 from numpy.typing import NDArray
 
 from pmbm.errors import InputError
-from pmbm.types import FloatArray, GaussianMixture, Recording, Tracks, TrackSequence
-from reports.drawing import (
+from pmbm.reports.drawing import (
     ScenePanel,
     add_heat_scale,
     add_legend,
@@ -20,10 +19,11 @@ from reports.drawing import (
     save,
     styled,
 )
-from reports.error_picture import error_picture
-from reports.matching import first_detection
-from reports.palette import tracker_colour
-from reports.shadows import hidden_region
+from pmbm.reports.error_picture import error_picture
+from pmbm.reports.matching import first_detection
+from pmbm.reports.palette import tracker_colour
+from pmbm.reports.shadows import hidden_region
+from pmbm.types import FloatArray, GaussianMixture, Recording, Tracks, TrackSequence
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

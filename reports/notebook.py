@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from pmbm.metrics import evaluate
+from pmbm.reports.render import replay_page
+from pmbm.reports.values import Replay
 from pmbm.types import Recording, TrackSequence
-from reports.render import replay_page
-from reports.values import Replay
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from reports.palette import DARK, LIGHT
+from pmbm.reports.palette import DARK, LIGHT
 
 REPLAY_SCRIPTS = (
     "decode",
@@ -73,7 +73,7 @@ def _environment() -> jinja2.Environment:
 
 @cache
 def _read(name: str) -> str:
-    return resources.files("reports").joinpath("templates", name).read_text(encoding="utf-8")
+    return resources.files("pmbm.reports").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 @cache

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reports.drawing import colours_of, styled
+from pmbm.reports.drawing import colours_of, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

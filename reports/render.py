@@ -9,10 +9,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from reports.encode import encode_replay
-from reports.page import render_page, script_json
-from reports.tables import Row, Table, metric_rows, metric_tables
-from reports.values import Replay, Section
+from pmbm.reports.encode import encode_replay
+from pmbm.reports.page import render_page, script_json
+from pmbm.reports.tables import Row, Table, metric_rows, metric_tables
+from pmbm.reports.values import Replay, Section
 
 LAYERS = (
     ("truth", "truth"),

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pmbm.metrics import evaluate
+from pmbm.reports.render import run_page
+from pmbm.reports.values import Replay, Section
 from pmbm.seeding import tracker_seed
 from pmbm.study import Source, StepTime, TrialResult, follow, summarise
 from pmbm.tracking import TrackerFactory, tracker_factory
-from reports.render import run_page
-from reports.values import Replay, Section
 
 
 def trial_replay(

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pmbm.study import Estimate, Summary, TrialResult, estimate, metric_scale
-from reports.curves import Curve, curve_figure, svg_image
-from reports.page import render_page
-from reports.render import LAYERS, ReplayView, facts, replay_view
-from reports.tables import (
+from pmbm.reports.curves import Curve, curve_figure, svg_image
+from pmbm.reports.page import render_page
+from pmbm.reports.render import LAYERS, ReplayView, facts, replay_view
+from pmbm.reports.tables import (
     MAIN_METRICS,
     Row,
     Table,
@@ -27,7 +26,8 @@ from reports.tables import (
     shown_metric,
     words,
 )
-from reports.values import CellResults, StudyReport
+from pmbm.reports.values import CellResults, StudyReport
+from pmbm.study import Estimate, Summary, TrialResult, estimate, metric_scale
 
 CURVE_METRICS = (
     "gospa",

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from pmbm.errors import InputError
+from pmbm.reports.replays import trial_replay
+from pmbm.reports.study_report import leading_metric
+from pmbm.reports.tables import shown_metric
+from pmbm.reports.values import CellResults, Failure, Replay, StudyReport, WorstTrial
 from pmbm.study import ConfiguredTracker, Source, StudyResults, TrialResult, load_results
-from reports.replays import trial_replay
-from reports.study_report import leading_metric
-from reports.tables import shown_metric
-from reports.values import CellResults, Failure, Replay, StudyReport, WorstTrial
 
 Resolve = Callable[[str, Mapping[str, Any]], Source]
 

@@ -6,9 +6,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from pmbm.errors import InputError, nearest_hint
+from pmbm.reports.study_report import ALPHA, holm, p_value
+from pmbm.reports.tables import Verdict, code_block, markdown_table, plain_markdown, shown_metric
 from pmbm.study import Estimate, StudyResults, Summary
-from reports.study_report import ALPHA, holm, p_value
-from reports.tables import Verdict, code_block, markdown_table, plain_markdown, shown_metric
 
 _SHOWN: dict[Verdict, str] = {"better": "better", "worse": "**worse**", "tie": "no different"}
 

@@ -1,6 +1,6 @@
 """Synthetic traffic: scenes, a detector that errs like a real one, scenarios.
 
-Public names are loaded when they are first used: importing `sim` imports no simulator.
+Public names are loaded when they are first used: importing `pmbm.sim` imports no simulator.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sim.detector import DetectorModel, load_profile
-    from sim.scenario import Scenario, load_scenario, scenario_names
-    from sim.scene import Scene, make_scene
+    from pmbm.sim.detector.model import DetectorModel, load_profile
+    from pmbm.sim.scenario.scenario import Scenario, load_scenario, scenario_names
+    from pmbm.sim.world.scene import Scene, make_scene
 
 _HOME = {
-    "DetectorModel": "sim.detector",
-    "Scenario": "sim.scenario",
-    "Scene": "sim.scene",
-    "load_profile": "sim.detector",
-    "load_scenario": "sim.scenario",
-    "make_scene": "sim.scene",
-    "scenario_names": "sim.scenario",
+    "DetectorModel": "pmbm.sim.detector.model",
+    "Scenario": "pmbm.sim.scenario.scenario",
+    "Scene": "pmbm.sim.world.scene",
+    "load_profile": "pmbm.sim.detector.model",
+    "load_scenario": "pmbm.sim.scenario.scenario",
+    "make_scene": "pmbm.sim.world.scene",
+    "scenario_names": "pmbm.sim.scenario.scenario",
 }
 
 __all__ = [
@@ -36,7 +36,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
-        raise AttributeError(f"module 'sim' has no attribute {name!r}")
+        raise AttributeError(f"module 'pmbm.sim' has no attribute {name!r}")
     return getattr(importlib.import_module(_HOME[name]), name)
 
 

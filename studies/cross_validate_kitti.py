@@ -18,7 +18,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from sim.toml_door import toml_text
+from pmbm.sim.toml_tables import toml_text
 
 FOLDS = (("0000", "0004", "0011"), ("0002", "0007", "0017"), ("0003", "0005", "0009"))
 SUMMED = ("MOTA", "IDF1", "HOTA")

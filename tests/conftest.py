@@ -64,7 +64,7 @@ def drawn(request, tmp_path):
     FILE_ID.svg without its suffix, and else nowhere that lasts."""
 
     def keep(id, figure):
-        from reports.drawing import save
+        from pmbm.reports.drawing import save
 
         file = Path(request.config.getoption("--verification") or tmp_path / "verification.json")
         path = file.with_name(f"{file.stem}_{id}.svg")

@@ -6,7 +6,6 @@ Exit codes: 0 done, 1 a gate failed or a study has failing trials, 2 bad input, 
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -100,7 +99,7 @@ def main(arguments: list[str] | None = None) -> Any:
     from pmbm.errors import InputError
 
     try:
-        _refuse_shadows()
+        _refuse_missing_parts()
         with _warnings_in_a_line():
             code = group.main(args=arguments, prog_name="pmbm", standalone_mode=False)
     except InputError as error:
@@ -123,23 +122,17 @@ def main(arguments: list[str] | None = None) -> Any:
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _refuse_shadows() -> None:
-    """Raise InputError where a user's folder stands before a package that comes with this one."""
+def _refuse_missing_parts() -> None:
+    """Raise InputError where a checkout has files in place of its links to sim and reports."""
     from importlib.util import find_spec
 
-    import pmbm
     from pmbm.errors import InputError
 
-    home = os.path.dirname(os.path.dirname(os.path.abspath(pmbm.__file__)))
-    for name in ("sim", "reports"):
-        spec = find_spec(name)
-        folder = os.path.dirname(os.path.abspath(spec.origin)) if spec and spec.origin else None
-        if folder is None or os.path.dirname(folder) != home:
+    for name in ("pmbm.sim", "pmbm.reports"):
+        if find_spec(name) is None:
             raise InputError(
-                f"something else named '{name}' hides the package of that name",
-                expected=os.path.join(home, name),
-                got=folder or "a folder without __init__.py",
-                hint="rename it, or take its parent off PYTHONPATH",
+                f"{name} is missing: this checkout has no symbolic links",
+                hint="git config core.symlinks true, and check out again; or install a wheel",
             )
 
 

@@ -21,7 +21,7 @@ def command(context: click.Context) -> None:
       pmbm cache clear --older-than 7
     """
     if context.invoked_subcommand is None:
-        from sim.cache import cache_folder, entries
+        from pmbm.sim.scenario.cache import cache_folder, entries
 
         held = list(entries())
         click.echo(f"folder  {cache_folder()}")
@@ -42,7 +42,7 @@ def list_entries(scenario: str | None) -> None:
     from rich.table import Table
 
     from pmbm.errors import nearest_hint
-    from sim.cache import entries
+    from pmbm.sim.scenario.cache import entries
 
     held = list(entries())
     names = {entry.scenario for entry in held}
@@ -77,7 +77,7 @@ def clear_entries(scenario: str | None, older_than: float | None) -> None:
     Example:
       pmbm cache clear --older-than 7
     """
-    from sim.cache import clear, entries
+    from pmbm.sim.scenario.cache import clear, entries
 
     latest = time.time() - 86400 * (older_than or 0)
     chosen = [

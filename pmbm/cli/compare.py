@@ -223,7 +223,7 @@ def _table(
 
 def _markdown(title: str, tables: Sequence[_Table], metric: str) -> str:
     from pmbm.cli.evaluate import undefined_lines
-    from reports.tables import markdown_table, plain_markdown
+    from pmbm.reports.tables import markdown_table, plain_markdown
 
     first = next(iter(tables[0].scores))
     bare = any(name.endswith(WITHOUT_POSES) for name in tables[0].scores)

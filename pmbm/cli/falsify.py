@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from sim.falsify import Badness, Finding, Knob
+    from pmbm.sim.search.falsify import Badness, Finding, Knob
 
 
 @click.command()
@@ -76,9 +76,9 @@ def command(
 
     from pmbm.durable import check_writable, replace_text
     from pmbm.metrics.catalogue import definition
-    from sim import load_scenario
-    from sim.falsify import FAULTS, Knob, search, swept_knobs
-    from sim.toml_door import toml_text
+    from pmbm.sim import load_scenario
+    from pmbm.sim.search.falsify import FAULTS, Knob, search, swept_knobs
+    from pmbm.sim.toml_tables import toml_text
 
     scenario = load_scenario(scenario_name)
     name = f"{scenario.name}_falsified"
@@ -123,8 +123,8 @@ def _badness(tracker: str, metric: str, sign: float, trials: int, seed: int) -> 
 
     from pmbm.metrics import evaluate
     from pmbm.seeding import tracker_seed
+    from pmbm.sim.scenario.scenario import Scenario
     from pmbm.tracking import track, tracker_factory
-    from sim.scenario import Scenario
 
     factory = tracker_factory(tracker)
 
@@ -154,8 +154,8 @@ def _at_rest(document: Mapping[str, Any], key: str, least: float) -> float:
 
 def _check(document: Mapping[str, Any], knobs: list[Knob]) -> None:
     """Refuse keys that the scenario does not take, before anything is searched."""
-    from sim.falsify import with_values
-    from sim.scenario import Scenario
+    from pmbm.sim.scenario.scenario import Scenario
+    from pmbm.sim.search.falsify import with_values
 
     for knob in knobs:
         Scenario(with_values(document, {knob.key: knob.at(0.5)}))

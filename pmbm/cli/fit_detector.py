@@ -14,10 +14,10 @@ from pmbm.cli.dataset_options import FOLDER
 from pmbm.cli.many import ManyValues
 
 if TYPE_CHECKING:
+    from pmbm.reports.detector_page import Realism
+    from pmbm.sim.detector.model import DetectorModel
+    from pmbm.sim.fit.goodness_of_fit import Comparison, Figure
     from pmbm.types import Recording
-    from reports.detector_page import Realism
-    from sim.detector import DetectorModel
-    from sim.likeness import Comparison, Figure
 
 _SEED = 7
 
@@ -86,12 +86,9 @@ def command(
 
     from pmbm.datasets import load, open_dataset, with_origins
     from pmbm.durable import replace_text
-    from reports.detector_page import DetectorReport, detector_page
-    from sim.detector import load_profile
-    from sim.evidence import gather
-    from sim.fit import fit_detector
-    from sim.fit import refits as models_of_resampled
-    from sim.likeness import (
+    from pmbm.reports.detector_page import DetectorReport, detector_page
+    from pmbm.sim.detector.model import load_profile
+    from pmbm.sim.fit.goodness_of_fit import (
         between_real,
         bootstrap,
         compare,
@@ -100,7 +97,10 @@ def command(
         outside,
         outside_by_chance,
     )
-    from sim.toml_door import toml_text
+    from pmbm.sim.fit.model import fit_detector
+    from pmbm.sim.fit.model import refits as models_of_resampled
+    from pmbm.sim.fit.observations import gather
+    from pmbm.sim.toml_tables import toml_text
 
     dataset = open_dataset(
         dataset_name, root=root, detections=detections, poses=poses, classes=classes or None
@@ -177,7 +177,7 @@ def _modelled_figures(
     model: DetectorModel, recordings: Sequence[Recording], trials: int, min_iou: float
 ) -> list[dict[str, Figure]]:
     """Figures of the model on the truth of each recording, over all trials."""
-    from sim.likeness import figures, modelled, pooled
+    from pmbm.sim.fit.goodness_of_fit import figures, modelled, pooled
 
     made = [
         [figures(r) for r in modelled(model, recordings, _SEED, trial, min_iou=min_iou)]
@@ -189,9 +189,9 @@ def _modelled_figures(
 def _realism(recordings: Sequence[Recording], model: DetectorModel) -> Realism:
     import numpy as np
 
-    from reports.detector_page import Realism
-    from sim.likeness import modelled
-    from sim.realism import area, two_sample
+    from pmbm.reports.detector_page import Realism
+    from pmbm.sim.fit.goodness_of_fit import modelled
+    from pmbm.sim.fit.two_sample import area, two_sample
 
     made = modelled(model, recordings, _SEED)
     rng = np.random.default_rng(_SEED)

@@ -63,9 +63,9 @@ def command(
     from pmbm.cli.track import class_trackers, preset
     from pmbm.datasets import open_dataset
     from pmbm.durable import replace_text
+    from pmbm.sim.toml_tables import toml_text
     from pmbm.study.configured import nested
     from pmbm.tune import refuse_reserved_sequences
-    from sim.toml_door import toml_text
 
     refuse_reserved_sequences(dataset_name, sequences)
     dataset = open_dataset(

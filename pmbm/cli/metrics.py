@@ -82,7 +82,7 @@ def _page() -> Iterator[str]:
     """The lines of docs/metrics.md."""
     from pmbm.datasets import DATASETS, adapter
     from pmbm.metrics.catalogue import FAMILIES
-    from reports.tables import markdown_table
+    from pmbm.reports.tables import markdown_table
 
     yield _BEFORE
     for family in FAMILIES:

@@ -10,7 +10,7 @@ import click
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from reports.values import Replay
+    from pmbm.reports.values import Replay
 
 KINDS = ("scene", "hidden", "errors")
 
@@ -64,9 +64,9 @@ def command(
       pmbm picture crossing --kind errors --tracker pmbm --tracker waymo
     """
     from pmbm.errors import InputError
-    from reports.figures import save
-    from reports.replays import trial_replay
-    from sim import load_scenario
+    from pmbm.reports.figures import save
+    from pmbm.reports.replays import trial_replay
+    from pmbm.sim import load_scenario
 
     if out is not None and out.suffix.lower() not in (".svg", ".png"):
         raise InputError("unknown format", field="--out", expected=".svg or .png", got=out.name)
@@ -83,7 +83,7 @@ def command(
 
 
 def _figure(kind: str, replay: Replay, frame: int | None, *, dark: bool) -> Figure:
-    from reports.figures import error_picture, hidden_traffic_picture, scene_picture
+    from pmbm.reports.figures import error_picture, hidden_traffic_picture, scene_picture
 
     recording, tracks = replay.recording, replay.tracks
     if kind == "errors":

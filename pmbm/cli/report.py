@@ -52,8 +52,8 @@ def command(
     """
     from pmbm.cli.sources import resolve
     from pmbm.durable import replace_text
-    from reports.study_report import study_markdown, study_page
-    from reports.study_source import stored_report
+    from pmbm.reports.study_report import study_markdown, study_page
+    from pmbm.reports.study_source import stored_report
 
     report = stored_report(store, resolve, study=study, worst=worst, reference=reference)
     out.mkdir(parents=True, exist_ok=True)

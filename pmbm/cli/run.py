@@ -13,8 +13,8 @@ import click
 if TYPE_CHECKING:
     from rich.text import Text
 
+    from pmbm.reports.values import Section
     from pmbm.study import Estimate, Source, Summary, TrialResult
-    from reports.values import Section
 
 HEADLINE = (
     "gospa",
@@ -97,10 +97,10 @@ def command(
     """
     from pmbm.durable import check_writable, replace_text
     from pmbm.errors import InputError
+    from pmbm.reports.render import run_page
+    from pmbm.sim import load_scenario
     from pmbm.study import summarise
     from pmbm.tracking import tracker_factory
-    from reports.render import run_page
-    from sim import load_scenario
 
     if replay_trial >= trials:
         raise InputError(
@@ -213,8 +213,8 @@ def _section(
     summary: Summary,
     with_maps: bool,
 ) -> Section:
-    from reports.replays import trial_replay
-    from reports.values import Section
+    from pmbm.reports.replays import trial_replay
+    from pmbm.reports.values import Section
 
     replay, _ = trial_replay(source, trackers, seed, trial, with_maps=with_maps)
     return Section(
@@ -259,7 +259,7 @@ def _show(name: str, summary: Summary, results: Sequence[TrialResult], *, to_std
 def _text(value: Estimate | None, trials: int) -> Text:
     from rich.text import Text
 
-    from reports.tables import words
+    from pmbm.reports.tables import words
 
     # Brackets are text here, not rich's marks; a terminal's minus is the keyboard's.
     return Text(str(words(value, trials) or "undefined").replace("−", "-"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from sim import Scenario
+    from pmbm.sim import Scenario
 
 
 @click.command()
@@ -35,11 +35,11 @@ def command(name: str | None, schema: bool, seed: int, level: float | None, out:
       pmbm scenarios --schema > scenario.schema.json
     """
     if schema:
-        from sim.schema import json_schema
+        from pmbm.sim.schema import json_schema
 
         click.echo(json.dumps(json_schema(), indent=1))
         return
-    from sim import load_scenario
+    from pmbm.sim import load_scenario
 
     if name is None:
         _list()
@@ -53,7 +53,7 @@ def command(name: str | None, schema: bool, seed: int, level: float | None, out:
 
 
 def _list() -> None:
-    from sim import load_scenario, scenario_names
+    from pmbm.sim import load_scenario, scenario_names
 
     names = scenario_names()
     width = max(map(len, names))
@@ -97,8 +97,8 @@ def _swept(scenario: Scenario) -> str:
 
 
 def _draw(scenario: Scenario, seed: int, out: Path) -> Path:
-    from reports.drawing import save
-    from reports.figures import scene_picture
+    from pmbm.reports.drawing import save
+    from pmbm.reports.figures import scene_picture
 
     path = out / f"{scenario.name}.png"
     save(scene_picture(scenario.record(seed)), path)

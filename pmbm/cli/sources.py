@@ -17,7 +17,7 @@ def resolve(name: str, overrides: Mapping[str, Any]) -> Source:
         "level", a level of what the scenario itself sweeps.
     Raises InputError for an unknown scenario, key, level or value.
     """
-    from sim import Scenario, load_scenario
+    from pmbm.sim import Scenario, load_scenario
 
     scenario = load_scenario(name)
     keys = {key: value for key, value in overrides.items() if key != "level"}

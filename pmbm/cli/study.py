@@ -128,7 +128,7 @@ def _replay(study: Study, file: Path, index: int, out: Path) -> int:
     """Run one trial here and write its replay as a page."""
     from pmbm.durable import replace_text
     from pmbm.errors import InputError
-    from reports.replays import trial_page
+    from pmbm.reports.replays import trial_page
 
     if index >= len(study):
         raise InputError(

@@ -131,9 +131,9 @@ def command(
     from pmbm.durable import check_writable, replace_text
     from pmbm.errors import InputError
     from pmbm.provenance import made_with
+    from pmbm.sim.toml_tables import toml_text
     from pmbm.study import ConfiguredTracker
     from pmbm.tune import refuse_reserved_seed, tune
-    from sim.toml_door import toml_text
 
     if (dataset_name is None) == (not scenarios):
         raise InputError("tune on scenarios or on a dataset", expected="names, or --dataset NAME")

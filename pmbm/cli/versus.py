@@ -26,9 +26,9 @@ def command(store: Path, metric: str, reference: str | None, out: Path | None) -
 
     from pmbm.durable import replace_text
     from pmbm.errors import InputError, nearest_hint
+    from pmbm.reports.versus import versus_markdown
     from pmbm.study import load_results
     from pmbm.tracking import SHIPPED_BOUNDS
-    from reports.versus import versus_markdown
 
     results = load_results(store)
     if reference is not None and reference not in results.trackers:

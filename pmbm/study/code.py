@@ -11,17 +11,26 @@ from typing import Any
 from pmbm.named_modules import find_named
 from pmbm.provenance import provenance
 
-WITHOUT_EFFECT = ("cli", "regression", "testing.py", "pytest_plugin.py", "tune.py", "tune")
-"""Parts of pmbm that only run, judge or show trials."""
+WITHOUT_EFFECT = (
+    "cli",
+    "regression",
+    "testing.py",
+    "pytest_plugin.py",
+    "tune.py",
+    "tune",
+    "reports",
+    "sim",
+)
+"""Parts of pmbm that only run, judge or show trials; and pmbm.sim, which is hashed by itself."""
 
 
 def code_version(modules: Iterable[str] = ()) -> dict[str, Any]:
-    """What computes a trial: digests of pmbm, sim and the modules named, versions, platform.
+    """What computes a trial: digests of pmbm, pmbm.sim and the modules named, versions, platform.
 
     modules : of the trackers in use ("package.module"); a whole package is hashed.
     """
     known = provenance()
-    named = sorted({name.split(".")[0] for name in modules} | {"pmbm", "sim"})
+    named = sorted({name.split(".")[0] for name in modules} | {"pmbm", "pmbm.sim"})
     return {
         "sources": {name: digest for name in named if (digest := _digest(name)) is not None},
         "versions": known["versions"],

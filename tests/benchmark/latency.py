@@ -54,8 +54,8 @@ def _p99(recordings: Iterable[Recording]) -> float:
 
 
 def _simulated() -> Iterable[Recording]:
-    from sim.detector import load_profile
-    from sim.replay import replay
+    from pmbm.sim.detector.model import load_profile
+    from pmbm.sim.detector.replay import replay
 
     detector = load_profile("nominal")
     for seed in SEEDS:

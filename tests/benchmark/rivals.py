@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from world import DT, MEASUREMENT_SD
 
-from sim.cache import cache_folder
+from pmbm.sim.scenario.cache import cache_folder
 
 PACKAGES = ("stonesoup==1.9.1", "motpy==0.0.10", "norfair-enough==2.4.3")
 GATE = 3.0

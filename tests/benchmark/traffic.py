@@ -15,8 +15,9 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from sim import schema, traffic
-from sim.streams import Streams
+from pmbm.sim import schema
+from pmbm.sim.streams import Streams
+from pmbm.sim.world import traffic
 
 SEEDS = range(5)
 RATE = 15
@@ -49,8 +50,8 @@ def _road(cars: int, ticks: int) -> tuple[float, dict[str, Any]]:
 def h() -> tuple[float, dict[str, Any]]:
     """Recordings of one scenario for ten detector configurations: each simulated anew (on our fast
     road), over each from the cache, which begins empty."""
-    from sim import load_scenario
-    from sim import scenario as scenarios
+    from pmbm.sim import load_scenario
+    from pmbm.sim.scenario import scenario as scenarios
 
     source = load_scenario("highway_dense")
     ratios = []

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from pmbm import run
 from pmbm.geometry import iou
+from pmbm.sim.search.strategies import Mover, detectors, faulty, recordings, scenes, traffic
+from pmbm.sim.world.scene import Scene
 from pmbm.types import CLUTTER, Recording, Tracks
-from sim.scene import Scene
-from sim.strategies import Mover, detectors, faulty, recordings, scenes, traffic
 
 QUICK = settings(
     max_examples=200,

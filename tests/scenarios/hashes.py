@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from sim.cache import bits_key
+from pmbm.sim.scenario.cache import bits_key
 
 FILE = Path(__file__).with_name("hashes.json")
 SEED = 0
@@ -16,7 +16,7 @@ SEED = 0
 
 def digests(name: str) -> dict[str, str]:
     """Of the truth and of the detections of a scenario's plain run."""
-    from sim import load_scenario
+    from pmbm.sim import load_scenario
 
     recording = load_scenario(name).record(SEED)
     return {
@@ -34,7 +34,7 @@ def stored() -> dict[str, dict[str, str]]:
 
 
 def main() -> None:
-    from sim import scenario_names
+    from pmbm.sim import scenario_names
 
     known = json.loads(FILE.read_text()) if FILE.exists() else {}
     known[bits_key()] = {name: digests(name) for name in scenario_names()}

@@ -8,8 +8,8 @@ import pytest
 
 from pmbm.errors import InputError
 from pmbm.labels import Label
-from sim import load_scenario, scenario_names
-from sim.scenario import Scenario, catalogue_folder
+from pmbm.sim import load_scenario, scenario_names
+from pmbm.sim.scenario.scenario import Scenario, catalogue_folder
 
 _spec = importlib.util.spec_from_file_location(
     "scenario_hashes", Path(__file__).with_name("hashes.py")

@@ -8,7 +8,7 @@ import pytest
 import shapely
 
 from pmbm.geometry import corners
-from sim import load_scenario, scenario_names
+from pmbm.sim import load_scenario, scenario_names
 
 LARGEST_CONTACT = 1e-6
 """m^2 that rounding may show as an overlap."""

@@ -3,8 +3,8 @@
 import numpy as np
 
 from pmbm.geometry import wrap_angle
+from pmbm.sim.world.scene import Scene
 from pmbm.types import CLUTTER, GroundTruth, Label, Site
-from sim.scene import Scene
 
 
 def still(

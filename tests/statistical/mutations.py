@@ -132,7 +132,7 @@ def bench(root: Path = ROOT) -> Iterator[Bench]:
         copy = Path(name).resolve()
         no_caches: Any = shutil.ignore_patterns("__pycache__")
         for folder in FOLDERS:
-            shutil.copytree(root / folder, copy / folder, ignore=no_caches)
+            shutil.copytree(root / folder, copy / folder, symlinks=True, ignore=no_caches)
         shutil.copy(root / "pyproject.toml", copy)
         environment = {**os.environ, "PMBM_NO_NATIVE": "1", "OMP_NUM_THREADS": "1"}
         environment["OPENBLAS_NUM_THREADS"] = "1"

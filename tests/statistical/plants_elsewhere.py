@@ -8,7 +8,7 @@ from plants import Plant
 OTHER_PLANTS = [
     Plant(
         "y not mirrored",
-        "sim/traffic.py",
+        "sim/world/traffic.py",
         "path.rows.append((x, -y, ",
         "path.rows.append((x, y, ",
         by="tests/unit/test_traffic.py::test_our_world_is_right_handed",

@@ -8,12 +8,12 @@ import pytest
 
 from pmbm.cli.sources import resolve
 from pmbm.filter import PMBMConfig
+from pmbm.reports.versus import compare
+from pmbm.sim.scenario.scenario import scenario_names
 from pmbm.study import load_results
 from pmbm.study.file import load_study
 from pmbm.tracking import SHIPPED_BOUNDS, SHIPPED_TRACKERS
 from pmbm.tune import FIRST_REPORTING_SEED
-from reports.versus import compare
-from sim.scenario import scenario_names
 
 FILE = Path(__file__).parents[2] / "studies" / "default_preset.toml"
 BASELINES = ("argoverse", "waymo", "probabilistic_kf")

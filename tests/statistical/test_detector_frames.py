@@ -13,10 +13,10 @@ from scipy import integrate, special, stats
 from pmbm import run
 from pmbm.errors import InputError
 from pmbm.geometry import to_local, to_world, wrap_angle
+from pmbm.sim.detector.boxes import TYPICAL_SIZE
+from pmbm.sim.detector.calibration import reliability
+from pmbm.sim.detector.model import load_profile
 from pmbm.types import Label, Site, Tracks
-from sim.boxes import TYPICAL_SIZE
-from sim.calibration import reliability
-from sim.detector import load_profile
 
 ALPHA = 1e-4
 FRAMES = 1000

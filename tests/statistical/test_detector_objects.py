@@ -10,9 +10,9 @@ from scipy import stats
 
 from pmbm.errors import InputError
 from pmbm.geometry import corners
+from pmbm.sim.detector.boxes import TYPICAL_SIZE
+from pmbm.sim.detector.model import load_profile
 from pmbm.types import CLUTTER, Label
-from sim.boxes import TYPICAL_SIZE
-from sim.detector import load_profile
 
 ALPHA = 1e-4
 RNG = np.random.default_rng(11)

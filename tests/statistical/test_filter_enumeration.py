@@ -19,7 +19,7 @@ from pmbm.filter.density import Density, Locals, Mixture
 from pmbm.filter.prediction import Transition, predict
 from pmbm.filter.reduction import reduce
 from pmbm.filter.update import update
-from reports.posterior_figures import errors_figure
+from pmbm.reports.posterior_figures import errors_figure
 
 pytestmark = pytest.mark.slow
 

@@ -23,7 +23,7 @@ from pmbm.filter.estimation import cardinality, marginals
 from pmbm.filter.prediction import Transition, predict
 from pmbm.filter.reduction import reduce
 from pmbm.filter.update import update
-from reports.posterior_figures import (
+from pmbm.reports.posterior_figures import (
     cost_figure,
     reliability_figure,
     squares_figure,

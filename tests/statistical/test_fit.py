@@ -16,12 +16,9 @@ from pmbm.cli.fit_detector import command
 from pmbm.datasets import with_origins
 from pmbm.errors import InputError
 from pmbm.labels import Label
-from pmbm.tune import REPORTING_SEQUENCES
-from pmbm.types import Site
-from sim.detector import load_profile
-from sim.evidence import gather
-from sim.fit import fit_detector, refits
-from sim.likeness import (
+from pmbm.sim.detector.model import load_profile
+from pmbm.sim.detector.replay import replay
+from pmbm.sim.fit.goodness_of_fit import (
     Figure,
     between_real,
     bootstrap,
@@ -31,8 +28,11 @@ from sim.likeness import (
     outside,
     outside_by_chance,
 )
-from sim.realism import FEATURES, area, two_sample
-from sim.replay import replay
+from pmbm.sim.fit.model import fit_detector, refits
+from pmbm.sim.fit.observations import gather
+from pmbm.sim.fit.two_sample import FEATURES, area, two_sample
+from pmbm.tune import REPORTING_SEQUENCES
+from pmbm.types import Site
 
 KNOWN = {
     "objects": {

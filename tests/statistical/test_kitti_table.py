@@ -13,7 +13,7 @@ import pytest
 
 from pmbm.cli import main
 from pmbm.cli.track import preset
-from sim.toml_door import toml_text
+from pmbm.sim.toml_tables import toml_text
 
 REPORTING = ("0006", "0008", "0010", "0012", "0014", "0015", "0016")
 TUNING = ("0000", "0002", "0003", "0004", "0005", "0007", "0009", "0011", "0017")

@@ -25,9 +25,9 @@ from pmbm.filter import (
 )
 from pmbm.metrics import evaluate
 from pmbm.score import ScoreModel
+from pmbm.sim import load_scenario
 from pmbm.tracking import run
 from pmbm.types import CLUTTER
-from sim import load_scenario
 
 pytestmark = pytest.mark.slow
 

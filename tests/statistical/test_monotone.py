@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sim import load_scenario, scenario_names
-from sim.scenario import Scenario
+from pmbm.sim import load_scenario, scenario_names
+from pmbm.sim.scenario.scenario import Scenario
 
 SEEDS = int(os.environ.get("PMBM_MONOTONE_SEEDS", "50"))
 ALPHA = 1e-3

@@ -23,8 +23,8 @@ from pmbm.baselines import (
     WaymoTracker,
 )
 from pmbm.filter import BirthMap, EveryScore, PMBMConfig, PMBMTracker
+from pmbm.sim.scenario.scenario import Scenario, load_scenario
 from pmbm.types import Tracks
-from sim.scenario import Scenario, load_scenario
 
 sys.path.insert(0, str(Path(__file__).parent))
 from occlusion_trials import (

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from pmbm.errors import InputError
 from pmbm.geometry import corners
 from pmbm.labels import Label
-from sim import Scenario
-from sim.apart import GAP, first_meeting, followed, marked_crashed, overlaps, separation
-from sim.trajectory import Trajectory
+from pmbm.sim import Scenario
+from pmbm.sim.world.apart import GAP, first_meeting, followed, marked_crashed, overlaps, separation
+from pmbm.sim.world.trajectory import Trajectory
 
 RATE = 20
 HERE = np.zeros((400, 3))

@@ -15,9 +15,9 @@ from pmbm.cli import main
 from pmbm.errors import InputError
 from pmbm.metrics.benchmarks import evaluate_argoverse1
 from pmbm.metrics.core.scene import make_scene
+from pmbm.sim import load_scenario
 from pmbm.study import jackknife_difference
 from pmbm.tracking import make_tracker, run, tracker_factory
-from sim import load_scenario
 
 SAMPLE = Path(__file__).parents[1] / "data" / "kitti"
 

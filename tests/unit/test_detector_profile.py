@@ -7,10 +7,10 @@ import pytest
 
 from pmbm.errors import InputError
 from pmbm.labels import Label
-from sim.clutter import ClutterModel
-from sim.detector import DetectorModel, load_profile, shipped_profiles
-from sim.knobs import Curve
-from sim.objects import ObjectModel
+from pmbm.sim.detector.clutter import ClutterModel
+from pmbm.sim.detector.knobs import Curve
+from pmbm.sim.detector.model import DetectorModel, load_profile, shipped_profiles
+from pmbm.sim.detector.objects import ObjectModel
 
 
 @pytest.mark.parametrize("name", shipped_profiles())

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from pmbm.sim.detector.model import load_profile
+from pmbm.sim.streams import Purpose, Streams
+from pmbm.sim.world.scene import make_scene
 from pmbm.types import CLUTTER, Label, Site
-from sim.detector import load_profile
-from sim.scene import make_scene
-from sim.streams import Purpose, Streams
 
 FRAMES = 40
 ALL_FAULTS = {

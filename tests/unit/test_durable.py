@@ -71,7 +71,7 @@ class _Scores:
 def picture(path, size):
     from matplotlib.figure import Figure
 
-    from reports.drawing import save
+    from pmbm.reports.drawing import save
 
     figure = Figure()
     figure.add_axes((0, 0, 1, 1)).plot(np.random.default_rng(1).normal(size=size))

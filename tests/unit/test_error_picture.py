@@ -7,8 +7,8 @@ import pytest
 from metric_builders import run_of
 
 from pmbm.errors import InputError
+from pmbm.reports.figures import error_picture, save
 from pmbm.types import TrackSequence
-from reports.figures import error_picture, save
 
 
 def sequence(steps):

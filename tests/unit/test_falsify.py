@@ -8,9 +8,9 @@ from click.testing import CliRunner
 
 from pmbm.cli.falsify import command
 from pmbm.errors import InputError
+from pmbm.sim import load_scenario
+from pmbm.sim.search.falsify import Knob, search, swept_knobs
 from pmbm.types import Tracks
-from sim import load_scenario
-from sim.falsify import Knob, search, swept_knobs
 
 
 def test_a_planted_corner_is_found_and_only_what_matters_stays():

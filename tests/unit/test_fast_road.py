@@ -5,9 +5,12 @@ import contextlib
 import numpy as np
 import pytest
 
-from sim import actors, fast_drivers, fast_road, highway, schema, traffic
-from sim.scenario import load_scenario
-from sim.streams import Streams
+from pmbm.sim import schema
+from pmbm.sim.scenario.scenario import load_scenario
+from pmbm.sim.streams import Streams
+from pmbm.sim.world import actors, traffic
+from pmbm.sim.world.highway import env as highway
+from pmbm.sim.world.highway import fast_drivers, fast_road
 
 PARAMETERS = [name for name in vars(actors.Car) if name.isupper()]
 

@@ -17,7 +17,7 @@ from pmbm.filter.density import Density, Locals, Marks, Mixture
 from pmbm.filter.models.occlusion import Shadows
 from pmbm.filter.models.rays import BEARINGS, bearing_of
 from pmbm.filter.models.undetected_map import WIDEST, capped, merged_by_cell, narrowed
-from sim import load_scenario
+from pmbm.sim import load_scenario
 
 WALL = np.array([[20, -5], [22, -5], [22, 5], [20, 5]], dtype=float)
 ROAD = np.array([[-70, -7], [70, -7], [70, 7], [-70, 7]], dtype=float)

@@ -25,8 +25,8 @@ from pmbm.filter.models.undetected_map import WIDEST, MapCells, beyond
 from pmbm.filter.models.view import View
 from pmbm.filter.tracker import observe
 from pmbm.geometry import points_in_polygon
+from pmbm.sim import load_scenario
 from pmbm.tracking import run
-from sim import load_scenario
 
 LIT = np.array([[-25, -25], [-5, -25], [-5, 25], [-25, 25]], dtype=float)
 

@@ -8,8 +8,8 @@ from click.testing import CliRunner
 
 from pmbm.cli.fit_detector import command
 from pmbm.errors import InputError
-from sim.detector import load_profile, shipped_profiles
-from sim.toml_door import toml_text
+from pmbm.sim.detector.model import load_profile, shipped_profiles
+from pmbm.sim.toml_tables import toml_text
 
 KITTI = Path(__file__).parents[1] / "data" / "kitti"
 

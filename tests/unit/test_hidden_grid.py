@@ -11,10 +11,18 @@ import shapely
 from traffic import hidden_mixture, recording, tracks
 
 from pmbm.geometry import normal_in_polygon
+from pmbm.reports.encode import encode_replay
+from pmbm.reports.hidden_grid import (
+    CODES,
+    DECADES,
+    LOWEST,
+    MOST_CELLS,
+    cell_masses,
+    coded,
+    hidden_grid,
+)
+from pmbm.reports.values import Replay
 from pmbm.types import GaussianMixture, TrackSequence
-from reports.encode import encode_replay
-from reports.hidden_grid import CODES, DECADES, LOWEST, MOST_CELLS, cell_masses, coded, hidden_grid
-from reports.values import Replay
 
 
 def mixture(*parts):

@@ -22,7 +22,7 @@ def build(folder, **environment):
     source, wheels = folder / "source", folder / "wheels"
     unwanted = shutil.ignore_patterns("__pycache__", "*.html", "*.svg")
     for name in ("pmbm", "sim", "reports", "scenarios"):
-        shutil.copytree(ROOT / name, source / name, ignore=unwanted)
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=unwanted)
     for name in ("pyproject.toml", "CMakeLists.txt", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source / name)
     ours = ("PMBM_NO_NATIVE", "PMBM_REQUIRE_NATIVE")
@@ -51,7 +51,7 @@ def test_the_wheel_carries_the_kernel_and_the_scenarios(tmp_path):
     wheel, names = build(tmp_path, PMBM_REQUIRE_NATIVE="1")
     assert has_kernel(names)
     assert "none-any" not in wheel
-    shipped = {Path(name).name for name in names if name.startswith("sim/scenarios/")}
+    shipped = {Path(name).name for name in names if name.startswith("pmbm/sim/scenarios/")}
     assert shipped == {path.name for path in (ROOT / "scenarios").rglob("*") if path.is_file()}
     assert not [name for name in names if name.endswith((".cpp", ".hpp"))]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from reports.drawing import save
-from reports.posterior_figures import (
+from pmbm.reports.drawing import save
+from pmbm.reports.posterior_figures import (
     cost_figure,
     errors_figure,
     reliability_figure,

@@ -14,13 +14,13 @@ from pmbm.cli.run import command as run_command
 from pmbm.cli.track import tracked
 from pmbm.cli.tuning import Simulated
 from pmbm.regression import Entry, Rules, gated_metric, run_gate
+from pmbm.reports.replays import trial_replay
 from pmbm.seeding import seeded, tracker_seed
+from pmbm.sim import Scenario
 from pmbm.study import Cell, ConfiguredTracker, Study, read_store, run_study, run_trial, run_trials
 from pmbm.study import study as study_module
 from pmbm.tracking import make_tracker, track
 from pmbm.types import Label, Site
-from reports.replays import trial_replay
-from sim import Scenario
 
 BRIEF = {
     "name": "brief",
@@ -116,7 +116,7 @@ def test_a_study_has_one_digest(tmp_path, monkeypatch):
 
 def test_a_run_prints_the_same_twice(tmp_path):
     file = tmp_path / "brief.toml"
-    from sim.toml_door import toml_text
+    from pmbm.sim.toml_tables import toml_text
 
     file.write_text(toml_text(BRIEF))
     options = ["--tracker", "noisy_trackers:Noisy", "--trials", "3", "--out", str(tmp_path)]

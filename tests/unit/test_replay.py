@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from pmbm.errors import InputError
+from pmbm.sim.detector.model import load_profile
+from pmbm.sim.detector.replay import Replay, replay
+from pmbm.sim.search.strategies import Mover, traffic
+from pmbm.sim.world.scene import make_scene
 from pmbm.study import Source
 from pmbm.types import Site
-from sim.detector import load_profile
-from sim.replay import Replay, replay
-from sim.scene import make_scene
-from sim.strategies import Mover, traffic
 
 SCENE = traffic([Mover(), Mover(distance=30, bearing=90, speed=8, heading=10)], frames=12)
 

@@ -9,10 +9,10 @@ from browser import chromium, needs_chromium
 from traffic import hidden_mixture, recording, tracks
 
 from pmbm.metrics import evaluate
+from pmbm.reports.render import run_page
+from pmbm.reports.values import Replay, Section
 from pmbm.study import TrialResult, summarise
 from pmbm.types import Site
-from reports.render import run_page
-from reports.values import Replay, Section
 
 pytestmark = [pytest.mark.browser, needs_chromium]
 
@@ -465,8 +465,8 @@ def test_empty_recordings_and_no_tracks_are_shown(browser, tmp_path):
 def test_a_study_page_shows_its_curves_and_worst_trials(browser, tmp_path):
     from test_report_study import cell, study
 
-    from reports.study_report import study_page
-    from reports.values import WorstTrial
+    from pmbm.reports.study_report import study_page
+    from pmbm.reports.values import WorstTrial
 
     scene = recording(frames=6)
     replay = Replay(recording=scene, tracks={"a": tracks(scene)}, start=4)
@@ -487,7 +487,7 @@ def test_a_study_page_shows_its_curves_and_worst_trials(browser, tmp_path):
 
 
 def test_a_notebook_shows_a_replay_in_its_frame(browser, tmp_path):
-    from reports.notebook import show
+    from pmbm.reports.notebook import show
 
     scene = recording(frames=8, name=HOSTILE)
     path = tmp_path / "cell.html"

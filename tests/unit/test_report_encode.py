@@ -11,6 +11,9 @@ from traffic import recording, tracks
 
 from pmbm.errors import InputError
 from pmbm.metrics import evaluate
+from pmbm.reports.encode import encode_replay
+from pmbm.reports.matching import identity_switches, matched
+from pmbm.reports.values import Replay
 from pmbm.types import (
     CLUTTER,
     Detections,
@@ -20,9 +23,6 @@ from pmbm.types import (
     Tracks,
     TrackSequence,
 )
-from reports.encode import encode_replay
-from reports.matching import identity_switches, matched
-from reports.values import Replay
 
 
 def unpack(data, table):

@@ -13,9 +13,8 @@ from traffic import hidden_mixture, recording, tracks
 
 from pmbm.errors import InputError
 from pmbm.geometry import corners, visible_fraction
-from pmbm.types import Recording, Site
-from reports.drawing import planar_intensity
-from reports.figures import (
+from pmbm.reports.drawing import planar_intensity
+from pmbm.reports.figures import (
     expected_in,
     hidden_counts,
     hidden_traffic_picture,
@@ -23,7 +22,8 @@ from reports.figures import (
     scene_picture,
     traffic_extent,
 )
-from reports.shadows import field_of_view, hidden_region, shadow
+from pmbm.reports.shadows import field_of_view, hidden_region, shadow
+from pmbm.types import Recording, Site
 
 
 @given(

@@ -8,11 +8,11 @@ import pytest
 from traffic import recording, tracks
 
 from pmbm.intervals import COUNT, SHARE
+from pmbm.reports.page import script_json
+from pmbm.reports.render import run_page
+from pmbm.reports.tables import judge, markdown_table, metric_row, shown_metric, words
+from pmbm.reports.values import Replay, Section
 from pmbm.study import TrialResult, estimate, summarise
-from reports.page import script_json
-from reports.render import run_page
-from reports.tables import judge, markdown_table, metric_row, shown_metric, words
-from reports.values import Replay, Section
 
 HOSTILE = "</script><img src=x onerror=alert(1)>&\u2028'\""
 

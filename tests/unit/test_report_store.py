@@ -7,10 +7,10 @@ from click.testing import CliRunner
 from traffic import recording
 
 from pmbm.errors import InputError
+from pmbm.reports.study_report import study_markdown, study_page
+from pmbm.reports.study_source import stored_report, worst_trials
 from pmbm.study import Cell, ConfiguredTracker, Study, load_results, run_study
 from pmbm.study.store import open_store
-from reports.study_report import study_markdown, study_page
-from reports.study_source import stored_report, worst_trials
 
 
 @dataclass(frozen=True)

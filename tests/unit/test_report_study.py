@@ -8,9 +8,16 @@ from scipy import stats
 from test_report_page import Outline
 from traffic import recording, tracks
 
+from pmbm.reports.study_report import (
+    findings,
+    holm,
+    p_value,
+    robustness,
+    study_markdown,
+    study_page,
+)
+from pmbm.reports.values import CellResults, Failure, Replay, StudyReport, WorstTrial
 from pmbm.study import StepTime, TrialResult, estimate
-from reports.study_report import findings, holm, p_value, robustness, study_markdown, study_page
-from reports.values import CellResults, Failure, Replay, StudyReport, WorstTrial
 
 HOSTILE = "</script><img src=x onerror=alert(1)>|\n# `&\u2028"
 

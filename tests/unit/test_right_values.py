@@ -20,9 +20,9 @@ from pmbm.datasets.waymo_files import OBJECTS, decoded
 from pmbm.datasets.wire import encode, message, numbered
 from pmbm.errors import InputError, InputWarning
 from pmbm.score import ScoreModel
+from pmbm.sim import load_scenario
 from pmbm.study.file import load_study
 from pmbm.types import Label, Tracks, TrackSequence
-from sim import load_scenario
 
 DATA = Path(__file__).parents[1] / "data"
 CASES = DATA / "cases"

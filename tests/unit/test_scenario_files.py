@@ -6,11 +6,11 @@ import pickle
 import numpy as np
 import pytest
 
-import sim
+import pmbm.sim
 from pmbm.errors import InputError
-from sim import schema
-from sim.scenario import Scenario, catalogue_folder, load_scenario, scenario_names
-from sim.toml_door import read_toml
+from pmbm.sim import schema
+from pmbm.sim.scenario.scenario import Scenario, catalogue_folder, load_scenario, scenario_names
+from pmbm.sim.toml_tables import read_toml
 
 SMALL = """
 name = "small"
@@ -217,28 +217,26 @@ def test_the_birth_rate_is_the_rate():
     assert abs(np.mean(counts) - 100) < 4 * np.sqrt(100 / 5) + 4  # births of the last second
 
 
-def test_the_catalogue_is_found_beside_the_package_and_in_the_repository(monkeypatch, tmp_path):
+def test_the_catalogue_lies_within_the_package(monkeypatch, tmp_path):
     import importlib.resources
 
     assert "truck_occlusion" in scenario_names()
-    repository = catalogue_folder()
     installed = tmp_path / "sim"
     (installed / "scenarios").mkdir(parents=True)
+    monkeypatch.setattr(importlib.resources, "files", lambda _: installed)
+    with pytest.raises(InputError, match="catalogue of scenarios is missing"):
+        scenario_names()
     (installed / "scenarios" / "only.toml").write_text(SMALL)
-    with monkeypatch.context() as patched:
-        patched.setattr(importlib.resources, "files", lambda _: installed)
-        assert scenario_names() == ("only",)
-        assert catalogue_folder() == installed / "scenarios"
-    monkeypatch.setattr(importlib.resources, "files", lambda _: tmp_path / "nothing")
-    assert catalogue_folder() == repository
+    assert scenario_names() == ("only",)
+    assert catalogue_folder() == installed / "scenarios"
 
 
 def test_the_package_has_its_names_lazily():
-    assert set(sim.__all__) <= set(dir(sim))
-    for name in sim.__all__:
-        assert getattr(sim, name) is not None
+    assert set(pmbm.sim.__all__) <= set(dir(pmbm.sim))
+    for name in pmbm.sim.__all__:
+        assert getattr(pmbm.sim, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        _ = sim.nothing
+        _ = pmbm.sim.nothing
 
 
 def test_the_json_schema_knows_every_key_of_the_catalogue():

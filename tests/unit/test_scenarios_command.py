@@ -6,7 +6,7 @@ import pytest
 
 from pmbm.cli import main
 from pmbm.errors import InputError
-from sim import load_scenario, scenario_names
+from pmbm.sim import load_scenario, scenario_names
 
 
 @pytest.fixture

@@ -14,8 +14,9 @@ import pytest
 
 from pmbm.cli import main
 from pmbm.errors import InputError
-from sim import cache, schema
-from sim.scenario import _scene, load_scenario, simulate
+from pmbm.sim import schema
+from pmbm.sim.scenario import cache
+from pmbm.sim.scenario.scenario import _scene, load_scenario, simulate
 
 
 @pytest.fixture(autouse=True)
@@ -53,7 +54,7 @@ def test_what_is_read_is_what_was_simulated(folder, name, monkeypatch):
     source = scenario(name)
     first = source.scene(3)
     assert len(list(folder.iterdir())) == 1
-    monkeypatch.setattr("sim.scenario.simulate", None)
+    monkeypatch.setattr("pmbm.sim.scenario.scenario.simulate", None)
     assert everything(again(source, 3)) == everything(first)
 
 
@@ -83,7 +84,11 @@ def test_machines_whose_last_bits_differ_have_different_keys():
     product = "import numpy as np; v = np.sin(np.arange(100.0)); print(np.dot(v, v[::-1]).hex());"
     said = {
         kernel: subprocess.run(
-            [sys.executable, "-c", product + "from sim.cache import bits_key; print(bits_key())"],
+            [
+                sys.executable,
+                "-c",
+                product + "from pmbm.sim.scenario.cache import bits_key; print(bits_key())",
+            ],
             env={**os.environ, "OPENBLAS_CORETYPE": kernel},
             capture_output=True,
             text=True,

@@ -11,9 +11,9 @@ import pytest
 
 from pmbm.errors import InputError
 from pmbm.labels import Label
-from sim import schema
-from sim.scenario import catalogue_folder, simulate
-from sim.toml_door import read_toml
+from pmbm.sim import schema
+from pmbm.sim.scenario.scenario import catalogue_folder, simulate
+from pmbm.sim.toml_tables import read_toml
 
 
 def form(name, **changes):
@@ -110,7 +110,7 @@ def test_the_clock_counts_ticks():
 
 
 def test_the_sensor_rate_divides_the_simulation_rate(tmp_path):
-    from sim.scenario import load_scenario
+    from pmbm.sim.scenario.scenario import load_scenario
 
     text = (catalogue_folder() / "single_straight.toml").read_text()
     (tmp_path / "odd.toml").write_text(
@@ -125,8 +125,8 @@ def test_scenes_leave_no_trace_on_each_other():
     a foreign one made in this process changes nothing of ours either."""
     import gymnasium
 
-    from sim import highway
-    from sim.actors import Car
+    from pmbm.sim.world.actors import Car
+    from pmbm.sim.world.highway import env as highway
 
     names = [name for name in vars(highway.IDMVehicle) if name.isupper()]
     pristine = {name: getattr(highway.IDMVehicle, name) for name in names}
@@ -194,8 +194,8 @@ def test_what_has_left_is_gone_for_good():
 
 
 def test_departed_vehicles_leave_the_road():
-    from sim import traffic
-    from sim.streams import Streams
+    from pmbm.sim.streams import Streams
+    from pmbm.sim.world import traffic
 
     scene = road_form(
         sensor={"pose": [0.0, 5.0, 0.0], "max_range": 50.0},
@@ -210,7 +210,8 @@ def test_hashes_are_equal_across_processes():
     forms = [form(name, duration=4.0) for name in ("roundabout", "truck_occlusion")]
     here = [simulate(each, 11, trial=2).truth_digest() for each in forms]
     code = (
-        "import json, sys; from sim import schema; from sim.scenario import simulate;"
+        "import json, sys; from pmbm.sim import schema;"
+        "from pmbm.sim.scenario.scenario import simulate;"
         "forms = map(schema.parse, json.loads(sys.argv[1]));"
         "print(*(simulate(form, 11, trial=2).truth_digest() for form in forms))"
     )
@@ -236,8 +237,8 @@ def test_seeds_and_trials_make_different_scenes_and_touch_no_global_state():
 
 
 def test_roads_are_given_a_seeded_generator():
-    from sim import traffic
-    from sim.streams import Streams
+    from pmbm.sim.streams import Streams
+    from pmbm.sim.world import traffic
 
     for opened in (
         traffic.open_roads(road_form().scene, 20, Streams(1)),
@@ -270,8 +271,8 @@ def test_unknown_environments_and_lanes_are_refused_with_the_nearest():
 
 
 def test_every_size_has_its_own_collision_radius():
-    from sim import highway
-    from sim.actors import vehicle_class
+    from pmbm.sim.world.actors import vehicle_class
+    from pmbm.sim.world.highway import env as highway
 
     road = highway.Road(
         highway.RoadNetwork.straight_road_network(1), np_random=np.random.default_rng(0)
@@ -308,9 +309,9 @@ def test_the_ego_carries_the_sensor_and_drives():
 
 
 def test_the_ego_of_a_registered_scene_drives_as_an_idm_car():
-    from sim import traffic
-    from sim.actors import Car
-    from sim.streams import Streams
+    from pmbm.sim.streams import Streams
+    from pmbm.sim.world import traffic
+    from pmbm.sim.world.actors import Car
 
     opened = traffic.open_gymnasium(gymnasium_form("merge-v1").scene, 20, Streams(4))
     assert type(opened.ego) is Car

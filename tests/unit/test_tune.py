@@ -22,6 +22,7 @@ from pmbm.datasets import open_dataset
 from pmbm.errors import InputError
 from pmbm.filter import ObjectClasses, PMBMConfig, ScoreLevels
 from pmbm.score import ScoreModel
+from pmbm.sim.toml_tables import toml_text
 from pmbm.study import ConfiguredTracker, run_trials, summarise
 from pmbm.study.file import load_study
 from pmbm.tune import (
@@ -37,7 +38,6 @@ from pmbm.tune import (
     tune,
 )
 from pmbm.types import CLUTTER, Label, Site
-from sim.toml_door import toml_text
 
 SAMPLE = Path(__file__).parents[1] / "data" / "kitti"
 BOWL = {"x": Range(-10.0, 10.0), "y": Range(0.01, 100.0, log=True)}

@@ -14,7 +14,7 @@ from pmbm.tune import Choice, Range, tune
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 OF_TRIALS = ("pmbm.filter", "pmbm.assignment", "pmbm.baselines", "pmbm.metrics", "pmbm.geometry")
-OF_TRIALS += ("pmbm.tracking", "pmbm.score", "pmbm.seeding", "pmbm.datasets", "sim")
+OF_TRIALS += ("pmbm.tracking", "pmbm.score", "pmbm.seeding", "pmbm.datasets", "pmbm.sim")
 """What a trial's numbers come from."""
 WITHOUT_NUMBERS = {"pydantic", "pydantic_core", "hypothesis", "pyarrow", "google"}
 """Third parties that only check or read values there."""
@@ -24,7 +24,7 @@ DISTRIBUTION = {"highway_env": "highway-env"}
 def third_parties(path):
     for _, name in imports(path):
         top = name.split(".")[0]
-        if top not in sys.stdlib_module_names and top not in ("pmbm", "sim", "reports"):
+        if top not in sys.stdlib_module_names and top != "pmbm":
             yield top
 
 

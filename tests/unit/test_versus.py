@@ -6,12 +6,12 @@ from scipy import stats
 
 from pmbm.cli import main
 from pmbm.errors import InputError
+from pmbm.reports.versus import compare
+from pmbm.sim import load_scenario
 from pmbm.study import ConfiguredTracker, TrialResult, run_trial, summarise
 from pmbm.study.trial import StepTime
 from pmbm.tracking import make_tracker, tracker_factory
 from pmbm.types import Site
-from reports.versus import compare
-from sim import load_scenario
 
 
 def summary(shifts, trials=12, seed=0, metric="gospa"):

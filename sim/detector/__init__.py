@@ -1,0 +1,1 @@
+"""The detector model: truth in, boxes out that err as a real detector's do."""

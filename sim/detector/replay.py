@@ -1,0 +1,85 @@
+"""Truth from anywhere, seen by the detector model.
+
+A dataset's labels become a scene by `replay`, a user's own arrays by
+`pmbm.sim.world.scene.make_scene`; with a detector model either is a source of recordings like any
+scenario.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmbm.errors import InputError
+from pmbm.sim.detector.model import DetectorModel
+from pmbm.sim.world.scene import Scene, look
+from pmbm.types import FloatArray, GroundTruth, Recording
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A scene and a detector model: a source, whose trials differ in the detector's luck alone.
+
+    scene : the truth, and where the sensor was.
+    detector : what it is seen by.
+    """
+
+    scene: Scene
+    detector: DetectorModel
+
+    @property
+    def name(self) -> str:
+        """Of the scene."""
+        return self.scene.name
+
+    def record(self, seed: int, trial: int = 0) -> Recording:
+        """The recording of one trial."""
+        return self.detector.detect(self.scene, seed, trial)
+
+
+def replay(recording: Recording, *, shadows: bool = False) -> Scene:
+    """The truth of a recording as a scene, its own detections left out.
+
+    The sensor's pose is that of the deliveries, linear in time where a frame has none.  Visibility
+    is what the recording says; with `shadows` it is worked out anew from the boxes and the site's
+    occluders.
+
+    Raises InputError where the recording has fewer than two frames or no delivery.
+    """
+    if len(recording) < 2 or not len(recording.detections):
+        raise InputError(
+            f"recording '{recording.name}' cannot be replayed",
+            expected="two frames of truth and a delivery that tells where the sensor was",
+            got=f"{len(recording)} frames, {len(recording.detections)} deliveries",
+        )
+    time = np.array([frame.time for frame in recording.truth])
+    pose = _poses(recording, time)
+    truth = recording.truth
+    if shadows:
+        truth = tuple(
+            _seen_from(recording, at, frame) for at, frame in zip(pose, truth, strict=True)
+        )
+    return Scene(
+        name=recording.name,
+        site=recording.site,
+        truth=truth,
+        sensor_pose=pose,
+        stamp=recording.stamp,
+        rate=float(1 / np.median(np.diff(time))),
+        object_name=recording.object_name,
+        provenance={"replayed": dict(recording.provenance), "shadows": shadows},
+    )
+
+
+def _poses(recording: Recording, time: FloatArray) -> FloatArray:
+    """The sensor's pose (F,3) at the times of the truth."""
+    frame, first = np.unique(recording.frame, return_index=True)
+    known = np.array([recording.detections[delivery].sensor_pose for delivery in first])
+    known[:, 2] = np.unwrap(known[:, 2])
+    return np.stack([np.interp(time, time[frame], column) for column in known.T], axis=1)
+
+
+def _seen_from(recording: Recording, pose: FloatArray, frame: GroundTruth) -> GroundTruth:
+    visibility, observable = look(recording.site, pose, frame.position, frame.size, frame.yaw)
+    return replace(frame, visibility=visibility, observable=observable)

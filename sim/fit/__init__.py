@@ -1,0 +1,1 @@
+"""A detector model fitted to recordings of known origins, and how like them it is."""

@@ -1,0 +1,1 @@
+"""Scenarios: named worlds, as TOML files, that give a recording for a seed."""

@@ -1,0 +1,1 @@
+"""Searching scenarios for what breaks a tracker."""
