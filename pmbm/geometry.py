@@ -6,7 +6,7 @@ all in one frame; lengths in metres, angles in radians.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,9 @@ _CORNER_SIGNS = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
 _NARROWEST = 1e-3
 """m."""
 
+_PAIRS_AT_ONCE = 200_000
+"""Objects times outlines looked at together: some tens of MB."""
+
 
 def wrap_angle(angle: ArrayLike) -> FloatArray:
     """The same angles in [-pi, pi), rad; those already there keep their bits."""
@@ -34,10 +37,11 @@ def wrap_angle(angle: ArrayLike) -> FloatArray:
     inside = (angle >= -np.pi) & (angle < np.pi)
     if inside.all():
         return angle
-    wrapped = np.mod(angle + np.pi, 2 * np.pi) - np.pi
+    result = np.array(angle)
+    wrapped = np.mod(angle[~inside] + np.pi, 2 * np.pi) - np.pi
     # np.mod of a tiny negative number rounds up to the divisor itself.
-    wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)
-    return np.where(inside, angle, wrapped)
+    result[~inside] = np.where(wrapped >= np.pi, -np.pi, wrapped)
+    return result
 
 
 def to_world(points: ArrayLike, pose: ArrayLike) -> FloatArray:
@@ -143,31 +147,82 @@ def visible_fraction(
     nothing and is seen whole.
     """
     objects = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
-    count = len(objects)
-    if count == 0:
-        return np.zeros(0)
-    outline = _stacked(objects, occluders) - np.asarray(sensor_xy, dtype=np.float64)
+    sensor = np.asarray(sensor_xy, dtype=np.float64)[None]
+    return visible_fractions(objects, [len(objects)], sensor, occluders)
+
+
+def visible_fractions(
+    corners: FloatArray,
+    count: ArrayLike,
+    sensor_xy: FloatArray,
+    occluders: Sequence[ArrayLike] = (),
+) -> FloatArray:
+    """`visible_fraction` (R,) of the objects of many frames, to the bit as frame by frame.
+
+    corners (R,4,2) : of all frames' objects, frame after frame, count (F,) of them in each.
+    sensor_xy (F,2) : where the sensor stands in each frame.
+    """
+    count = np.asarray(count, dtype=np.int64)
+    outline = _stacked(corners, occluders)
+    parts = [np.zeros(0)]
+    end = np.cumsum(count)
+    for frames in _chunks(count, len(occluders)):
+        rows = slice(int(end[frames.start] - count[frames.start]), int(end[frames.stop - 1]))
+        parts.append(
+            _visible(outline[rows], outline[len(corners) :], count[frames], sensor_xy[frames])
+        )
+    return np.concatenate(parts)
+
+
+def _chunks(count: NDArray[np.int64], occluders: int) -> Iterator[slice]:
+    """Runs of frames of which the pairs of objects and outlines fit into little memory."""
+    start = 0
+    while start < len(count):
+        most = np.maximum.accumulate(count[start:])
+        pairs = most * (most + occluders) * np.arange(1, len(most) + 1)
+        stop = start + max(1, int(np.searchsorted(pairs, _PAIRS_AT_ONCE, side="right")))
+        yield slice(start, stop)
+        start = stop
+
+
+def _visible(
+    objects: FloatArray, occluders: FloatArray, count: NDArray[np.int64], sensor: FloatArray
+) -> FloatArray:
+    """Visible shares (R,) of the outlines `objects` (R,V,2) of frames; all counter-clockwise."""
+    rows, frames, still = len(objects), len(count), len(occluders)
+    frame = np.repeat(np.arange(frames), count)
+    shape = (frames * still, *occluders.shape[1:])
+    outline = np.concatenate(
+        [objects, np.broadcast_to(occluders, (frames, *occluders.shape)).reshape(shape)]
+    )
+    outline -= sensor[np.append(frame, np.repeat(np.arange(frames), still))][:, None]
+    # Where each outline stands in a table with a row a frame: its objects, then the occluders.
+    most = int(count.max(initial=0))
+    place = np.full((frames, most + still), -1)
+    place[frame, np.arange(rows) - np.repeat(np.cumsum(count) - count, count)] = np.arange(rows)
+    place[:, most:] = rows + np.arange(frames * still).reshape(frames, still)
     middle, half = _angular_extent(outline)
-    target, other, low, high = _common_arcs(middle, half, count)
+    target, other, low, high = _common_arcs(middle, half, place, most)
     low, high = low[:, None], high[:, None]
+    edge = np.roll(outline, -1, axis=1) - outline
     plain = ~_bounds_meet(outline, target, other)
     shadow_target, shadow = [], []
     for pairs, cuts in (
         (plain, np.empty((np.count_nonzero(plain), 0))),
-        (~plain, _crossing_angles(outline, middle, target[~plain], other[~plain])),
+        (~plain, _crossing_angles(outline, edge, middle, target[~plain], other[~plain])),
     ):
         edges = np.concatenate(
             [low[pairs], np.sort(np.clip(cuts, low[pairs], high[pairs])), high[pairs]], axis=1
         )
-        arcs = np.stack([edges[:, :-1], edges[:, 1:]], axis=-1)
-        ray = arcs.mean(axis=-1) + middle[target[pairs], None]
-        nearer = _entry_distance(outline[other[pairs]], ray) < _entry_distance(
-            outline[target[pairs]], ray
+        ray = (edges[:, :-1] + edges[:, 1:]) / 2 + middle[target[pairs], None]
+        cos, sin = np.cos(ray), np.sin(ray)
+        nearer = _entry_distance(outline, edge, other[pairs], cos, sin) < _entry_distance(
+            outline, edge, target[pairs], cos, sin
         ) * (1 - 1e-12)
         shadow_target.append(np.broadcast_to(target[pairs, None], nearer.shape)[nearer])
-        shadow.append(arcs[nearer])
-    hidden = _union_length(np.concatenate(shadow_target), np.concatenate(shadow), count)
-    extent = 2 * half[:count]
+        shadow.append(np.stack([edges[:, :-1][nearer], edges[:, 1:][nearer]], axis=-1))
+    hidden = _union_length(np.concatenate(shadow_target), np.concatenate(shadow), frame)
+    extent = 2 * half[:rows]
     seen_whole = extent <= 0
     share = hidden / np.where(seen_whole, 1.0, extent)
     return np.where(seen_whole, 1.0, np.clip(1.0 - share, 0.0, 1.0))
@@ -255,60 +310,89 @@ def _angular_extent(outline: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _common_arcs(
-    middle: FloatArray, half: FloatArray, count: int
+    middle: FloatArray, half: FloatArray, place: NDArray[np.intp], most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
     """Pairs (object, other outline) that share rays, and the shared arc about the object's middle.
 
+    place : which outlines stand in each frame, -1 none; the first `most` columns are objects.
     Both half-angles are below pi / 2, so the shared arc is in one piece and does not wrap.
     """
-    offset = wrap_angle(middle - middle[:count, None])
-    low = np.maximum(-half[:count, None], offset - half)
-    high = np.minimum(half[:count, None], offset + half)
+    # What is not there shares no ray with anything.
+    at, width = np.append(middle, 0.0)[place], np.append(half, -1.0)[place]
+    own, own_width = at[:, :most, None], width[:, :most, None]
+    offset = wrap_angle(at[:, None] - own)
+    low = np.maximum(-own_width, offset - width[:, None])
+    high = np.minimum(own_width, offset + width[:, None])
     shared = low < high
-    np.fill_diagonal(shared, False)
-    target, other = np.nonzero(shared)
-    return target, other, low[target, other], high[target, other]
+    each = np.arange(most)
+    shared[:, each, each] = False
+    frame, target, other = np.nonzero(shared)
+    return (
+        place[frame, target],
+        place[frame, other],
+        low[frame, target, other],
+        high[frame, target, other],
+    )
 
 
 def _bounds_meet(
     outline: FloatArray, first: NDArray[np.intp], second: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
     """Whether the axis-parallel bounds of two outlines meet, pair by pair."""
-    low, high = outline.min(axis=1), outline.max(axis=1)
-    return ((low[first] <= high[second]) & (low[second] <= high[first])).all(axis=1)
+    (x, y), (far_x, far_y) = outline.min(axis=1).T, outline.max(axis=1).T
+    return (
+        (x[first] <= far_x[second])
+        & (x[second] <= far_x[first])
+        & (y[first] <= far_y[second])
+        & (y[second] <= far_y[first])
+    )
 
 
 def _crossing_angles(
-    outline: FloatArray, middle: FloatArray, first: NDArray[np.intp], second: NDArray[np.intp]
+    outline: FloatArray,
+    edges: FloatArray,
+    middle: FloatArray,
+    first: NDArray[np.intp],
+    second: NDArray[np.intp],
 ) -> FloatArray:
     """Angles (P,V*V), about the middle of `first`, where the outlines of each pair cross."""
     start, other_start = outline[first][:, :, None], outline[second][:, None]
-    edge = np.roll(outline, -1, axis=1)[first][:, :, None] - start
-    other_edge = np.roll(outline, -1, axis=1)[second][:, None] - other_start
+    edge, other_edge = edges[first][:, :, None], edges[second][:, None]
     between = other_start - start
     turn = _cross(edge, other_edge)
     parallel = turn == 0
     turn = np.where(parallel, 1.0, turn)
     along, other_along = _cross(between, other_edge) / turn, _cross(between, edge) / turn
     crossing = ~parallel & (along >= 0) & (along <= 1) & (other_along >= 0) & (other_along <= 1)
-    point = start + along[..., None] * edge
-    angle = np.arctan2(point[..., 1], point[..., 0]) - middle[first][:, None, None]
-    return np.where(crossing, wrap_angle(angle), 0.0).reshape(len(first), outline.shape[1] ** 2)
+    angle = np.zeros(crossing.shape)
+    pair, corner, _ = np.nonzero(crossing)
+    point = outline[first[pair], corner] + along[crossing][:, None] * edges[first[pair], corner]
+    angle[crossing] = wrap_angle(np.arctan2(point[:, 1], point[:, 0]) - middle[first[pair]])
+    return angle.reshape(len(first), outline.shape[1] ** 2)
 
 
-def _entry_distance(outline: FloatArray, ray: FloatArray) -> FloatArray:
-    """Distance (P,A) at which rays (P,A) from the origin, at these angles, enter the outlines
-    (P,V,2) that they hit: the farthest of the edges that face the origin."""
-    edge = np.roll(outline, -1, axis=1) - outline
-    direction = np.stack([np.cos(ray), np.sin(ray)], axis=-1)
-    facing = _cross(direction[:, :, None], edge[:, None])
-    reach = _cross(outline, edge)[:, None] / np.where(facing < 0, facing, -1.0)
-    distance: FloatArray = np.where(facing < 0, reach, -np.inf).max(axis=-1)
+def _entry_distance(
+    outline: FloatArray, edge: FloatArray, row: NDArray[np.intp], cos: FloatArray, sin: FloatArray
+) -> FloatArray:
+    """Distance (P,A) at which rays (P,A) from the origin, at angles of this cosine and sine, enter
+    the outlines of these rows (P,) that they hit: the farthest of the edges that face the origin.
+    """
+    across = _cross(outline, edge)
+    distance = np.full(cos.shape, -np.inf)
+    for corner in range(outline.shape[1]):
+        x, y = edge[row, corner].T[:, :, None]
+        facing = cos * y - sin * x
+        reach = across[row, corner, None] / np.where(facing < 0, facing, -1.0)
+        np.maximum(distance, reach, out=distance, where=facing < 0)
     return distance
 
 
-def _union_length(row: NDArray[np.intp], interval: FloatArray, count: int) -> FloatArray:
-    """Length (count,) of the union of the intervals (I,2) that belong to each row (I,)."""
+def _union_length(
+    row: NDArray[np.intp], interval: FloatArray, frame: NDArray[np.intp]
+) -> FloatArray:
+    """Length (R,) of the union of the intervals (I,2) that belong to each row (I,) of R, which
+    stand in frames (R,)."""
+    count = len(frame)
     order = np.lexsort((interval[:, 0], row))
     row, interval = row[order], interval[order]
     per_row = np.bincount(row, minlength=count)
@@ -319,7 +403,13 @@ def _union_length(row: NDArray[np.intp], interval: FloatArray, count: int) -> Fl
     begin = np.maximum(table[:, 1:, 0], reached[:, :-1])
     length = np.zeros(begin.shape)
     np.subtract(table[:, 1:, 1], begin, out=length, where=table[:, 1:, 1] > begin)
-    total: FloatArray = length.sum(axis=1)
+    total = np.zeros(count)
+    most = np.zeros(int(frame.max(initial=0)) + 1, np.int64)
+    np.maximum.at(most, frame, per_row)
+    # numpy's order of summation depends on the width: each frame has that of its own rows.
+    for width in np.unique(most).tolist():
+        rows = most[frame] == width
+        total[rows] = np.ascontiguousarray(length[rows, :width]).sum(axis=1)
     return total
 
 

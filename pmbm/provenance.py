@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import platform
 from importlib import metadata
 from typing import Any
@@ -36,6 +37,7 @@ def made_with(*more: str) -> str:
     return f"Made with {', '.join(f'{name} {version}' for name, version in found.items())}."
 
 
+@functools.cache
 def _versions(*packages: str) -> dict[str, str]:
     """Those installed, with their versions."""
     found = {}

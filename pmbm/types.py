@@ -55,6 +55,7 @@ _PAIRS_AT_ONCE = 1_000_000
 """Points times components looked at together: some tens of MB."""
 
 _Table = TypeVar("_Table", bound="Detections | GroundTruth | GaussianMixture | Tracks")
+_Frame = TypeVar("_Frame", bound="Detections | GroundTruth")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -504,6 +505,64 @@ def unchecked(kind: type[_Table], **values: Any) -> _Table:
             content.flags.writeable = False
         object.__setattr__(value, name, content)
     return value
+
+
+def checked_rows(
+    kind: type[_Frame],
+    time: Sequence[float],
+    count: IntArray,
+    columns: Mapping[str, NDArray[Any]],
+    sensor_pose: FloatArray | None = None,
+) -> dict[str, NDArray[Any]]:
+    """One table of the rows of many frames, checked in one go, as values of this kind hold them.
+
+    time (F,) : s.  count (F,) : rows of each frame.  sensor_pose (F,3) : of detections.
+    columns : name -> (R, ...), the frames' rows one after the other.
+
+    Raises InputError as the value of the first frame that is wrong does.
+    """
+    given = dict(columns)
+    ids, frame = given.get("id"), np.repeat(np.arange(len(count)), count)
+    good = bool(np.isfinite(time).all())
+    if sensor_pose is not None:
+        good &= bool(np.isfinite(sensor_pose).all())
+    if ids is not None:
+        # Each id once in a frame, not once in the table.
+        order = np.lexsort((ids, frame))
+        good &= not ((np.diff(ids[order]) == 0) & (np.diff(frame[order]) == 0)).any()
+        given["id"] = np.arange(len(ids))
+    try:
+        whole = kind(time=0.0, **given)
+    except InputError:
+        good = False
+    if not good:
+        for index, at in enumerate(time):
+            pose = {} if sensor_pose is None else {"sensor_pose": sensor_pose[index]}
+            rows = frame == index
+            kind(time=at, **{name: values[rows] for name, values in columns.items()}, **pose)
+    checked = {name: getattr(whole, name) for name in columns}
+    if ids is not None:
+        checked["id"] = frozen(np.asarray(ids, np.int64))
+    return checked
+
+
+def frames_of(
+    kind: type[_Frame],
+    time: Sequence[float],
+    count: IntArray,
+    table: Mapping[str, NDArray[Any]],
+    sensor_pose: FloatArray | None = None,
+) -> tuple[_Frame, ...]:
+    """The values of many frames from their `checked_rows`."""
+    absent = {f.name: None for f in fields(kind)}
+    end = np.cumsum(count).tolist()
+    poses = None if sensor_pose is None else frozen(np.array(sensor_pose, np.float64))
+    found = []
+    for index, (at, start, stop) in enumerate(zip(time, [0, *end], end, strict=False)):
+        rows = {name: values[start:stop] for name, values in table.items()}
+        pose = {} if poses is None else {"sensor_pose": poses[index]}
+        found.append(unchecked(kind, **{**absent, "time": float(at), **rows, **pose}))
+    return tuple(found)
 
 
 def _digest(*parts: Any) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmbm.errors import InputError
-from pmbm.types import CLUTTER, BoolArray, FloatArray, IntArray, Recording
+from pmbm.types import CLUTTER, BoolArray, Detections, FloatArray, IntArray, Recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +33,14 @@ class Reliability:
         return float(np.sum(self.count * distance) / np.sum(self.count))
 
 
-def first_boxes(score: FloatArray, origin: IntArray) -> BoolArray:
-    """Which detections (N,) of a frame are the surest of their object: no clutter, no duplicate,
-    no second half."""
-    surest_first = np.argsort(-score, kind="stable")
-    _, at = np.unique(origin[surest_first], return_index=True)
-    first = np.zeros(len(origin), dtype=bool)
-    first[surest_first[at]] = True
+def first_boxes(score: FloatArray, origin: IntArray, delivery: IntArray | None = None) -> BoolArray:
+    """Which detections (N,) are the surest of their object in their delivery (N,), of one delivery
+    where none is given: no clutter, no duplicate, no second half."""
+    if delivery is None:
+        delivery = np.zeros(len(origin), np.int64)
+    order = np.lexsort((-score, origin, delivery))
+    first = np.ones(len(origin), dtype=bool)
+    first[order[1:]] = (np.diff(origin[order]) != 0) | (np.diff(delivery[order]) != 0)
     return first & (origin != CLUTTER)
 
 
@@ -51,17 +52,25 @@ def reliability(recordings: Recording | Sequence[Recording], bins: int = 10) -> 
     """
     if isinstance(recordings, Recording):
         recordings = [recordings]
-    score, true = [np.zeros(0)], [np.zeros(0, dtype=bool)]
+    deliveries = list[tuple[Detections, IntArray]]()
     for recording in recordings:
         if recording.origin is None:
             raise InputError(
                 f"recording '{recording.name}' does not know where its boxes come from",
                 field="origin",
             )
-        for detections, origin in zip(recording.detections, recording.origin, strict=True):
-            score.append(detections.score)
-            true.append(first_boxes(detections.score, origin))
-    return _binned(np.concatenate(score), np.concatenate(true), bins)
+        deliveries += zip(recording.detections, recording.origin, strict=True)
+    return reliability_of(deliveries, bins)
+
+
+def reliability_of(
+    deliveries: Sequence[tuple[Detections, IntArray]], bins: int = 10
+) -> Reliability:
+    """The reliability curve of deliveries with their origins."""
+    score = np.concatenate([np.zeros(0), *(detections.score for detections, _ in deliveries)])
+    origin = np.concatenate([np.zeros(0, np.int64), *(origin for _, origin in deliveries)])
+    delivery = np.repeat(np.arange(len(deliveries)), [len(origin) for _, origin in deliveries])
+    return _binned(score, first_boxes(score, origin, delivery), bins)
 
 
 def _binned(score: FloatArray, true: BoolArray, bins: int) -> Reliability:

@@ -19,7 +19,7 @@ from scipy import special
 from pmbm.errors import InputError, nearest_hint
 from pmbm.labels import Label
 from pmbm.sim.detector.boxes import Boxes, Targets, concatenate, targets
-from pmbm.sim.detector.calibration import reliability
+from pmbm.sim.detector.calibration import reliability_of
 from pmbm.sim.detector.clutter import ClutterModel, FalseBoxes, clutter
 from pmbm.sim.detector.knobs import (
     NO_UNKNOWN_KEYS,
@@ -32,7 +32,7 @@ from pmbm.sim.detector.sensor import SensorModel, arrivals, blind, clock_error, 
 from pmbm.sim.streams import Streams
 from pmbm.sim.toml_tables import read_toml, table_of, validated
 from pmbm.sim.world.scene import Scene
-from pmbm.types import Detections, FloatArray, IntArray, Recording
+from pmbm.types import Detections, FloatArray, IntArray, Recording, checked_rows, frames_of
 from pmbm.validation import POSITIVE, Bounds, check_fields
 
 
@@ -104,23 +104,24 @@ class DetectorModel:
             boxes = moved(boxes, scene.sensor_pose, pose)
         delivered = arrivals(self.sensor, len(scene), streams)
         frames = _by_frame(boxes, scene, pose)
-        recording = Recording(
-            name=scene.name,
-            site=scene.site,
-            truth=scene.truth,
-            detections=tuple(frames[frame][0] for frame in delivered),
-            frame=delivered,
-            origin=tuple(frames[frame][1] for frame in delivered),
-            stamp=scene.stamp,
-            object_name=scene.object_name,
-        )
+        deliveries = [frames[frame] for frame in delivered]
         made = {
             "seed": seed,
             "trial": trial,
             "profile": self.plain(),
-            "score_error": reliability(recording).expected_error,
+            "score_error": reliability_of(deliveries).expected_error,
         }
-        return replace(recording, provenance={**scene.provenance, "detector": made})
+        return Recording(
+            name=scene.name,
+            site=scene.site,
+            truth=scene.truth,
+            detections=tuple(detections for detections, _ in deliveries),
+            frame=delivered,
+            origin=tuple(origin for _, origin in deliveries),
+            stamp=scene.stamp,
+            object_name=scene.object_name,
+            provenance={**scene.provenance, "detector": made},
+        )
 
     def _as_measured(self, scene: Scene, streams: Streams) -> Targets:
         """The targets where they are at the moment of measurement."""
@@ -291,18 +292,9 @@ def _plain_by_label(models: Mapping[Label, Any], shared: Any) -> dict[str, Any]:
 def _by_frame(boxes: Boxes, scene: Scene, pose: FloatArray) -> list[tuple[Detections, IntArray]]:
     """Detections and origins of every frame, the surest first."""
     boxes = boxes.take(np.lexsort((-boxes.score, boxes.frame)))
-    end = np.searchsorted(boxes.frame, np.arange(len(scene) + 1))
-    frames = []
-    for index, truth in enumerate(scene.truth):
-        rows = slice(end[index], end[index + 1])
-        detections = Detections(
-            time=truth.time,
-            position=boxes.position[rows],
-            size=boxes.size[rows],
-            yaw=boxes.yaw[rows],
-            score=boxes.score[rows],
-            label=boxes.label[rows].astype(np.int8),
-            sensor_pose=pose[index],
-        )
-        frames.append((detections, boxes.origin[rows]))
-    return frames
+    count = np.bincount(boxes.frame, minlength=len(scene))
+    time = [truth.time for truth in scene.truth]
+    columns = {name: getattr(boxes, name) for name in ("position", "size", "yaw", "score", "label")}
+    table = checked_rows(Detections, time, count, columns, pose)
+    origins = np.split(boxes.origin, np.cumsum(count)[:-1])
+    return list(zip(frames_of(Detections, time, count, table, pose), origins, strict=True))

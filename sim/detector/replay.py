@@ -57,9 +57,7 @@ def replay(recording: Recording, *, shadows: bool = False) -> Scene:
     pose = _poses(recording, time)
     truth = recording.truth
     if shadows:
-        truth = tuple(
-            _seen_from(recording, at, frame) for at, frame in zip(pose, truth, strict=True)
-        )
+        truth = _seen_from(recording, pose)
     return Scene(
         name=recording.name,
         site=recording.site,
@@ -80,6 +78,18 @@ def _poses(recording: Recording, time: FloatArray) -> FloatArray:
     return np.stack([np.interp(time, time[frame], column) for column in known.T], axis=1)
 
 
-def _seen_from(recording: Recording, pose: FloatArray, frame: GroundTruth) -> GroundTruth:
-    visibility, observable = look(recording.site, pose, frame.position, frame.size, frame.yaw)
-    return replace(frame, visibility=visibility, observable=observable)
+def _seen_from(recording: Recording, pose: FloatArray) -> tuple[GroundTruth, ...]:
+    truth = recording.truth
+    count = np.array([len(frame) for frame in truth])
+    boxes = (
+        np.concatenate([getattr(frame, name) for frame in truth])
+        for name in ("position", "size", "yaw")
+    )
+    seen = look(recording.site, pose, count, *boxes)
+    end = np.cumsum(count)[:-1]
+    return tuple(
+        replace(frame, visibility=visibility, observable=observable)
+        for frame, visibility, observable in zip(
+            truth, *(np.split(values, end) for values in seen), strict=True
+        )
+    )

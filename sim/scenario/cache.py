@@ -30,7 +30,7 @@ from pmbm.durable import replace_bytes
 from pmbm.errors import InputError
 from pmbm.provenance import provenance
 from pmbm.sim.world.scene import Scene
-from pmbm.types import GroundTruth, Site
+from pmbm.types import GroundTruth, Site, checked_rows, frames_of
 
 LARGEST_BYTES = 2 * 1024**3
 """Beyond this the entries used longest ago are deleted."""
@@ -240,8 +240,8 @@ def _packed(scene: Scene) -> dict[str, NDArray[Any]]:
 
 def _unpacked(arrays: dict[str, NDArray[Any]]) -> Scene:
     about = json.loads(arrays["about"].tobytes())
-    ends = np.cumsum(arrays["count"])[:-1]
-    columns = {name: np.split(arrays[name], ends) for name in _COLUMNS}
+    columns = {name: arrays[name] for name in _COLUMNS}
+    time, count = arrays["time"].tolist(), arrays["count"]
     polygons = np.split(arrays["corners"], np.cumsum(arrays["corner_count"]))[:-1]
     occluders = about["occluders"]
     return Scene(
@@ -253,10 +253,7 @@ def _unpacked(arrays: dict[str, NDArray[Any]]) -> Scene:
             max_range=about["max_range"],
             drivable_area=tuple(polygons[occluders:]) if about["drivable"] else None,
         ),
-        truth=tuple(
-            GroundTruth(time=time, **{name: columns[name][frame] for name in _COLUMNS})
-            for frame, time in enumerate(arrays["time"].tolist())
-        ),
+        truth=frames_of(GroundTruth, time, count, checked_rows(GroundTruth, time, count, columns)),
         sensor_pose=arrays["sensor_pose"],
         stamp=arrays["stamp"],
         rate=about["rate"],

@@ -8,12 +8,21 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pmbm.errors import InputError
-from pmbm.geometry import corners, visible_fraction, wrap_angle
-from pmbm.types import BoolArray, FloatArray, GroundTruth, IntArray, Recording, Site
-from pmbm.validation import Checker
+from pmbm.geometry import corners, visible_fractions, wrap_angle
+from pmbm.types import (
+    BoolArray,
+    FloatArray,
+    GroundTruth,
+    IntArray,
+    Recording,
+    Site,
+    checked_rows,
+    frames_of,
+)
+from pmbm.validation import Checker, frozen
 
 OBSERVABLE_SHARE = 0.1
 """An object less visible than this share counts as hidden."""
@@ -87,22 +96,50 @@ class Scene:
 
 def look(
     site: Site,
-    sensor_pose: ArrayLike,
+    sensor_pose: FloatArray,
+    count: IntArray,
     position: FloatArray,
     size: FloatArray,
     yaw: FloatArray,
 ) -> tuple[FloatArray, BoolArray]:
-    """What the sensor at `sensor_pose` (3,) could see of N boxes: their visible share (N,) of
-    angular extent, and whether each is observable (N,): inside the field of view and the range,
-    and at least a tenth visible.  Boxes shadow each other; so do the site's occluders."""
-    pose = np.asarray(sensor_pose, dtype=np.float64)
-    visibility = visible_fraction(corners(position, size, yaw), pose[:2], site.occluders)
-    offset = position[:, :2] - pose[:2]
-    bearing = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - pose[2] - site.fov_centre)
+    """What the sensor at `sensor_pose` (F,3) could see of the R boxes of F frames, `count` (F,) in
+    each: their visible share (R,) of angular extent, and whether each is observable (R,): inside
+    the field of view and the range, and at least a tenth visible.  Boxes of a frame shadow each
+    other; so do the site's occluders."""
+    visibility = visible_fractions(
+        corners(position, size, yaw), count, sensor_pose[:, :2], site.occluders
+    )
+    pose = np.repeat(sensor_pose, count, axis=0)
+    offset = position[:, :2] - pose[:, :2]
+    bearing = wrap_angle(np.arctan2(offset[:, 1], offset[:, 0]) - pose[:, 2] - site.fov_centre)
     inside = (np.hypot(offset[:, 0], offset[:, 1]) <= site.max_range) & (
         np.abs(bearing) <= site.fov_half_angle
     )
     return visibility, inside & (visibility >= OBSERVABLE_SHARE)
+
+
+def truth_of(
+    site: Site,
+    sensor_pose: FloatArray,
+    time: Sequence[float],
+    count: IntArray,
+    columns: Mapping[str, NDArray[Any]],
+) -> tuple[GroundTruth, ...]:
+    """The truth of F frames from one table of their rows, with what the sensor could see of each.
+
+    sensor_pose (F,3), time (F,), count (F,) : of the frames.
+    columns : as of `GroundTruth`, the frames' rows one after the other, but for the visibility.
+
+    Raises InputError where a frame is not what `GroundTruth` asks for.
+    """
+    rows = len(columns["id"])
+    unseen = {**columns, "visibility": np.zeros(rows), "observable": np.zeros(rows, bool)}
+    table = checked_rows(GroundTruth, time, count, unseen)
+    visibility, observable = look(
+        site, sensor_pose, count, table["position"], table["size"], table["yaw"]
+    )
+    table |= {"visibility": frozen(visibility), "observable": frozen(observable)}
+    return frames_of(GroundTruth, time, count, table)
 
 
 def make_scene(
@@ -134,28 +171,32 @@ def make_scene(
             expected=f"shape ({len(frames)}, 3)",
             got=f"shape {poses.shape}",
         )
-    truth = []
-    for index, (pose, values) in enumerate(zip(poses, frames, strict=True)):
-        n = len(values["id"])
-        # The first value checks the arrays, so that the look need not.
-        unseen = GroundTruth(
+    # The first value checks the arrays, so that the look need not.
+    unseen = [
+        GroundTruth(
             **{
                 "time": index / rate,
-                "crashed": np.zeros(n, bool),
+                "crashed": np.zeros(len(values["id"]), bool),
                 **values,
-                "visibility": np.zeros(n),
-                "observable": np.zeros(n, bool),
+                "visibility": np.zeros(len(values["id"])),
+                "observable": np.zeros(len(values["id"]), bool),
             }
         )
-        visibility, observable = look(site, pose, unseen.position, unseen.size, unseen.yaw)
-        columns = {f.name: getattr(unseen, f.name) for f in fields(unseen)}
-        truth.append(GroundTruth(**{**columns, "visibility": visibility, "observable": observable}))
+        for index, values in enumerate(frames)
+    ]
+    columns = {
+        f.name: np.concatenate([getattr(frame, f.name) for frame in unseen])
+        for f in fields(GroundTruth)
+        if f.name not in ("time", "visibility", "observable") and unseen
+    }
+    time, count = [frame.time for frame in unseen], np.array([len(frame) for frame in unseen])
+    truth = truth_of(site, poses, time, count, columns) if unseen else ()
     if stamp is None:
         stamp = np.array([round(frame.time * 1e9) for frame in truth], dtype=np.int64)
     return Scene(
         name=name,
         site=site,
-        truth=tuple(truth),
+        truth=truth,
         sensor_pose=poses,
         stamp=np.asarray(stamp),
         rate=rate,

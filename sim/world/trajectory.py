@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmbm.labels import Label
-from pmbm.sim.world.scene import Scene, make_scene
+from pmbm.sim.world.scene import Scene, truth_of
 from pmbm.types import BoolArray, FloatArray, Site
 
 REACH_MARGIN = 5.0
@@ -60,10 +61,6 @@ def part(path: Trajectory, start: int, stop: int) -> Trajectory:
     )
 
 
-Row = tuple[Trajectory, int, FloatArray]
-"""A path, its row at a frame's tick, its velocity there."""
-
-
 def presence(distance: FloatArray, reach: float) -> tuple[int, int]:
     """The rows [start, stop) in which an object belongs to the scene: from when it first comes
     within `reach` of the sensor until it has left for good."""
@@ -91,40 +88,56 @@ def to_scene(
     sensor_pose (ticks,3) : at every tick from 0.
     """
     step = tick_rate // rate
-    rows: list[list[Row]] = [[] for _ in range(frames)]
-    names = {}
+    present: list[Trajectory] = []
+    frame_parts, row_parts = [np.zeros(0, np.int64)], []
     for path in sorted(trajectories, key=lambda path: path.id):
         ticks = slice(path.first, path.first + len(path.yaw))
         offset = path.position - sensor_pose[ticks, :2]
         start, stop = presence(np.hypot(offset[:, 0], offset[:, 1]), site.max_range)
-        velocity = path.velocity(tick_rate)
         first_frame = -(-(path.first + start) // step)
-        for frame in range(first_frame, min(frames, -(-(path.first + stop) // step))):
-            row = frame * step - path.first
-            rows[frame].append((path, row, velocity[row]))
-            names[path.id] = path.name
-    return make_scene(
-        name,
+        seen = np.arange(first_frame, min(frames, -(-(path.first + stop) // step)))
+        if len(seen):
+            present.append(path)
+            frame_parts.append(seen)
+            row_parts.append(seen * step - path.first)
+    frame = np.concatenate(frame_parts)
+    # The frames one after the other, and in each the objects in the order of their ids.
+    order = np.argsort(frame, kind="stable")
+    counts = [len(rows) for rows in row_parts]
+
+    def of_object(values: list[Any], shape: tuple[int, ...] = ()) -> NDArray[Any]:
+        return np.repeat(np.array(values).reshape(-1, *shape), counts, axis=0)[order]
+
+    def of_row(parts: list[NDArray[Any]], shape: tuple[int, ...] = ()) -> NDArray[Any]:
+        rows = [part[row] for part, row in zip(parts, row_parts, strict=True)]
+        return np.concatenate([np.zeros((0, *shape)), *rows])[order]
+
+    size = of_object([path.size for path in present], (3,))
+    position = of_row([path.position for path in present], (2,))
+    poses = sensor_pose[: frames * step : step]
+    time = [number * step / tick_rate for number in range(frames)]
+    truth = truth_of(
         site,
-        float(rate),
-        sensor_pose[: frames * step : step],
-        [_frame(frame * step / tick_rate, row) for frame, row in enumerate(rows)],
-        object_name=names,
-        provenance=provenance,
-        stamp=[frame * step * 1_000_000_000 // tick_rate for frame in range(frames)],
+        poses,
+        time,
+        np.bincount(frame, minlength=frames),
+        {
+            "id": of_object([path.id for path in present]).astype(np.int64),
+            "position": np.concatenate([position, size[:, 2:] / 2], axis=1),
+            "size": size,
+            "yaw": of_row([path.yaw for path in present]),
+            "velocity": of_row([path.velocity(tick_rate) for path in present], (2,)),
+            "label": of_object([path.label for path in present]).astype(np.int64),
+            "crashed": of_row([path.crashed for path in present]),
+        },
     )
-
-
-def _frame(time: float, rows: list[Row]) -> dict[str, Any]:
-    return {
-        "time": time,
-        "id": np.array([path.id for path, *_ in rows], dtype=np.int64),
-        "position": np.array(
-            [(*path.position[row], path.size[2] / 2) for path, row, _ in rows]
-        ).reshape(-1, 3),
-        "size": np.array([path.size for path, *_ in rows]).reshape(-1, 3),
-        "yaw": np.array([path.yaw[row] for path, row, _ in rows], dtype=np.float64),
-        "velocity": np.array([velocity for *_, velocity in rows]).reshape(-1, 2),
-        "label": np.array([path.label for path, *_ in rows], dtype=np.int64),
-        "crashed": np.array([path.crashed[row] for path, row, _ in rows], dtype=bool),
-    }
+    return Scene(
+        name=name,
+        site=site,
+        truth=truth,
+        sensor_pose=poses,
+        stamp=np.array([n * step * 1_000_000_000 // tick_rate for n in range(frames)], np.int64),
+        rate=float(rate),
+        object_name={path.id: path.name for path in present},
+        provenance=provenance,
+    )
