@@ -14,6 +14,7 @@
 #include "merge.hpp"
 #include "rays.hpp"
 #include "reduce.hpp"
+#include "road.hpp"
 #include "sensor.hpp"
 #include "tables.hpp"
 
@@ -331,6 +332,27 @@ Output<double> probability(Input<std::int64_t> cluster, Input<double> log_weight
     return hand_over(pmbm::probability(view(cluster, log_weight, start, member), locals));
 }
 
+nb::tuple neighbours(Table<double> along, Table<double> aside, Input<bool> seen,
+                     Input<double> half_width, Input<double> length, Input<std::int64_t> first,
+                     Input<std::int64_t> searched, Input<double> offset, double reach,
+                     Input<std::int64_t> row, Input<std::int64_t> column) {
+    std::vector<std::int64_t> front, rear;
+    pmbm::neighbours({along.data(), aside.data(), seen.data(), seen.size(), half_width.data(),
+                      length.data(), length.size(), first.data(), searched.data(), offset.data()},
+                     row.data(), column.data(), row.size(), reach, front, rear);
+    return nb::make_tuple(hand_over(std::move(front)), hand_over(std::move(rear)));
+}
+
+nb::tuple near_pairs(Table<double> position, Input<double> heading, Input<double> speed,
+                     Input<double> half_length, Input<double> half_width, std::size_t vehicles,
+                     double dt) {
+    std::vector<std::int64_t> first, second;
+    pmbm::near_pairs({position.data(), heading.data(), speed.data(), half_length.data(),
+                      half_width.data(), heading.size(), vehicles},
+                     dt, 1e-6, first, second);
+    return nb::make_tuple(hand_over(std::move(first)), hand_over(std::move(second)));
+}
+
 }  // namespace
 
 NB_MODULE(_native, m) {
@@ -357,4 +379,6 @@ NB_MODULE(_native, m) {
     m.def("box_rays", &box_rays);
     m.def("likeliest", &likeliest);
     m.def("probability", &probability);
+    m.def("neighbours", &neighbours);
+    m.def("near_pairs", &near_pairs);
 }

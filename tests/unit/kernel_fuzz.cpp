@@ -8,6 +8,7 @@
 #include "merge.hpp"
 #include "rays.hpp"
 #include "reduce.hpp"
+#include "road.hpp"
 #include "sensor.hpp"
 #include "tables.hpp"
 
@@ -15,6 +16,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <memory>
 #include <random>
 #include <set>
 
@@ -554,6 +556,109 @@ void fuzz_rays() {
     }
 }
 
+// Things on lanes that lead to each other, many in one place: each neighbour against a search
+// through all; and pairs of boxes that overlap are among those that could collide.
+void fuzz_road() {
+    const auto things = static_cast<std::size_t>(whole(0, 12));
+    const auto lanes = static_cast<std::size_t>(whole(1, 4));
+    std::vector<double> along, aside, half_width, length, offset;
+    std::vector<std::int64_t> first{0}, searched;
+    for (std::size_t i = 0; i < things * lanes; ++i) {
+        along.push_back(chance() < 0.5 ? whole(-8, 40) : 60 * chance() - 12);
+        aside.push_back(6 * chance() - 3);
+    }
+    for (std::size_t lane = 0; lane < lanes; ++lane) {
+        half_width.push_back(2 * chance());
+        length.push_back(whole(5, 30));
+        searched.push_back(static_cast<std::int64_t>(lane));
+        offset.push_back(0);
+        for (int more = whole(0, 2); more > 0; --more) {
+            searched.push_back(whole(0, static_cast<int>(lanes) - 1));
+            offset.push_back(whole(-30, 30));
+        }
+        first.push_back(static_cast<std::int64_t>(searched.size()));
+    }
+    const auto seen = std::make_unique<bool[]>(things);
+    std::vector<std::int64_t> row, column, front, rear;
+    for (std::size_t n = 0; n < things; ++n) {
+        seen[n] = chance() < 0.9;
+        row.push_back(static_cast<std::int64_t>(n));
+        column.push_back(whole(0, static_cast<int>(lanes) - 1));
+    }
+    pmbm::neighbours({along.data(), aside.data(), seen.get(), things, half_width.data(),
+                      length.data(), lanes, first.data(), searched.data(), offset.data()},
+                     row.data(), column.data(), things, 5.0, front, rear);
+    for (std::size_t q = 0; q < things; ++q) {
+        const double at = along[q * lanes + static_cast<std::size_t>(column[q])];
+        std::int64_t ahead = -1, behind = -1;
+        double nearest = kInf, nearest_behind = -kInf;
+        for (std::size_t n = 0; n < things; ++n) {
+            if (n == q || !seen[n]) continue;
+            for (auto k = first[column[q]]; k < first[column[q] + 1]; ++k) {
+                const auto lane = static_cast<std::size_t>(searched[k]);
+                const double place = along[n * lanes + lane];
+                if (std::abs(aside[n * lanes + lane]) > half_width[lane] + 1 || place < -5 ||
+                    place >= length[lane] + 5) {
+                    continue;
+                }
+                if (place + offset[k] >= at && place + offset[k] <= nearest) {
+                    nearest = place + offset[k];
+                    ahead = static_cast<std::int64_t>(n);
+                }
+                if (place + offset[k] < at && place + offset[k] > nearest_behind) {
+                    nearest_behind = place + offset[k];
+                    behind = static_cast<std::int64_t>(n);
+                }
+                break;
+            }
+        }
+        require(front[q] == ahead && rear[q] == behind, "another neighbour");
+    }
+
+    std::vector<double> position, heading, speed, half_length, half;
+    for (std::size_t n = 0; n < things; ++n) {
+        for (int i = 0; i < 2; ++i) position.push_back(30 * chance());
+        heading.push_back(20 * chance() - 10);
+        speed.push_back(30 * chance());
+        half_length.push_back(0.2 + 5 * chance());
+        half.push_back(0.2 + chance());
+    }
+    const auto vehicles = static_cast<std::size_t>(whole(0, static_cast<int>(things)));
+    std::vector<std::int64_t> one, other;
+    pmbm::near_pairs({position.data(), heading.data(), speed.data(), half_length.data(),
+                      half.data(), things, vehicles},
+                     0.1, 1e-6, one, other);
+    std::set<std::pair<std::int64_t, std::int64_t>> found;
+    for (std::size_t k = 0; k < one.size(); ++k) {
+        require(one[k] < other[k] && static_cast<std::size_t>(one[k]) < vehicles &&
+                    found.emplace(one[k], other[k]).second &&
+                    (k == 0 || std::pair(one[k - 1], other[k - 1]) < std::pair(one[k], other[k])),
+                "pairs out of order");
+    }
+    for (std::size_t a = 0; a < vehicles; ++a) {
+        for (auto b = a + 1; b < things; ++b) {
+            // A corner of one within the other.
+            for (const auto& [in, of] : {std::pair(a, b), std::pair(b, a)}) {
+                for (int corner = 0; corner < 4; ++corner) {
+                    const double l = (corner & 1 ? 1 : -1) * half_length[of];
+                    const double w = (corner & 2 ? 1 : -1) * half[of];
+                    const double x = position[2 * of] - position[2 * in] +
+                                     l * std::cos(heading[of]) - w * std::sin(heading[of]);
+                    const double y = position[2 * of + 1] - position[2 * in + 1] +
+                                     l * std::sin(heading[of]) + w * std::cos(heading[of]);
+                    const double c = std::cos(heading[in]), s = std::sin(heading[in]);
+                    if (std::abs(x * c + y * s) < half_length[in] &&
+                        std::abs(y * c - x * s) < half[in]) {
+                        require(found.count({static_cast<std::int64_t>(a),
+                                             static_cast<std::int64_t>(b)}) > 0,
+                                "boxes that overlap are left out");
+                    }
+                }
+            }
+        }
+    }
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -574,6 +679,7 @@ int main(int argc, char** argv) {
         fuzz_exclusion();
         fuzz_sensor();
         fuzz_rays();
+        fuzz_road();
         if (!small) continue;
         std::vector<double> totals;
         std::vector<bool> used(static_cast<std::size_t>(p.width));

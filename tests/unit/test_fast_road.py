@@ -5,6 +5,7 @@ import contextlib
 import numpy as np
 import pytest
 
+from pmbm import kernels
 from pmbm.sim import schema
 from pmbm.sim.scenario.scenario import load_scenario
 from pmbm.sim.streams import Streams
@@ -63,7 +64,7 @@ def assert_equal(form, seed, ticks):
         assert type(stock_road) in (highway.Road, highway.RegulatedRoad)
     found, fast = history(form, seed, ticks)
     assert isinstance(fast, fast_road.FastRoad)
-    assert fast._all_known()
+    assert fast.fleet.known
     for tick, (one, other) in enumerate(zip(expected, found, strict=True)):
         assert one == other, f"tick {tick}"
     return expected
@@ -121,8 +122,9 @@ def test_ties_in_place_and_distance():
     assert len(set(places)) < len(places)
 
 
+@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("seed", range(6))
-def test_neighbours_among_equals(seed):
+def test_neighbours_among_equals(seed, compiled, monkeypatch):
     """Everybody's neighbours on every lane, with places shared to the bit, on bent and connected
     lanes, as the stock search finds them."""
     rng = np.random.default_rng(seed)
@@ -142,19 +144,17 @@ def test_neighbours_among_equals(seed):
                 opened.road.vehicles.append(kind(opened.road, lane.position(along, aside)))
     opened.road.objects.append(highway.Obstacle(opened.road, opened.road.vehicles[3].position))
     opened.road.objects.append(highway.Landmark(opened.road, opened.road.vehicles[5].position))
-    places = opened.road.places()
+    act = fast_drivers.Act(opened.road)
+    things, along = act.places.things, act.places.along
+    everybody = np.arange(len(opened.road.vehicles))
     tied = 0
     for column, lane_index in enumerate(opened.road.table.index):
-        line = fast_drivers.Line(opened.road, column, places)
-        tied += line.tied
-        everybody = np.arange(len(opened.road.vehicles))
-        fronts = line.fronts(everybody, places.along[everybody, column])
-        for row, vehicle in enumerate(opened.road.vehicles):
-            found = line.neighbours(row, float(places.along[row, column]))
-            things = [places.things[k] if k >= 0 else None for k in found]
+        tied += len(set(along[:, column].tolist())) < len(things)
+        found = act.neighbours(everybody, np.full(len(everybody), column))
+        for vehicle, *rows in zip(opened.road.vehicles, *found, strict=True):
+            near = [things[k] if k >= 0 else None for k in rows]
             expected = highway.Road.neighbour_vehicles(opened.road, vehicle, lane_index)
-            assert (things[0] is expected[0], things[1] is expected[1]) == (True, True)
-            assert fronts[row] == found[0]
+            assert (near[0] is expected[0], near[1] is expected[1]) == (True, True)
     assert tied >= 2
 
 
@@ -301,6 +301,29 @@ def test_a_vehicle_that_others_move_is_looked_up_again():
     with stock():
         expected = moved(opened())
     assert moved(opened()) == expected
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_possible_collisions_as_plain(seed):
+    """Crowds of boxes, some of them at one place, some standing, things behind the vehicles."""
+    if kernels.native is None:
+        pytest.skip("nothing is compiled")
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(0, 60))
+    position = rng.uniform(-30, 30, (count, 2))
+    position[: count // 5] = position[: count // 5].round(-1)
+    crowd = (
+        position,
+        rng.uniform(-7, 7, count),
+        rng.uniform(0, 40, count) * (rng.random(count) < 0.8),
+        rng.uniform(0.3, 7, count),
+        rng.uniform(0.3, 1.5, count),
+        count - seed % 3 * count // 6,
+        1 / 15,
+    )
+    fast, plain = kernels.native.near_pairs(*crowd), kernels.TWINS["near_pairs"](*crowd)
+    assert [found.tolist() for found in fast] == [found.tolist() for found in plain]
+    assert count < 20 or len(plain[0]) > 0
 
 
 def test_other_classes_of_road_stay_as_they_are():

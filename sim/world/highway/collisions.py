@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from pmbm.kernels import twin
 from pmbm.types import FloatArray, IntArray
 
 _MARGIN = 1e-6
 """m by which pairs are kept whose rounding cannot be judged here."""
 
 
+@twin("near_pairs")
 def near_pairs(
     position: FloatArray,
     heading: FloatArray,
@@ -18,15 +20,16 @@ def near_pairs(
     half_width: FloatArray,
     vehicles: int,
     dt: float,
-) -> list[tuple[int, int]]:
-    """Pairs (vehicle, thing) of N things, the first `vehicles` of them vehicles, in the order in
-    which a stock road looks at them.
+) -> tuple[IntArray, IntArray]:
+    """Pairs of a vehicle (P,) and a thing (P,) of N things, the first `vehicles` of them vehicles,
+    in the order in which a stock road looks at them.
 
     Left out are only pairs that the stock routine leaves as they are: too far apart for its
     pre-check, or with a box's edge whose normal separates the boxes now and over the step.
     """
+    none = np.zeros(0, np.int64)
     if len(position) < 2:
-        return []
+        return none, none
     radius = np.hypot(half_length, half_width)
     reach = 2 * radius.max() + max(float(speed.max()) * dt, 0.0) + _MARGIN
     first, second = _candidates(position, reach)
@@ -35,7 +38,7 @@ def near_pairs(
     keep = (first < vehicles) & ((offset**2).sum(axis=1) <= limit**2)
     first, second, offset = first[keep], second[keep], offset[keep]
     if len(first) == 0:
-        return []
+        return none, none
     along = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     aside = np.stack([-along[:, 1], along[:, 0]], axis=1)
     moved = speed[:, None] * along * dt
@@ -51,7 +54,7 @@ def near_pairs(
         apart |= abs(between) - extent - np.maximum(toward, 0.0) > _MARGIN
     first, second = first[~apart], second[~apart]
     order = np.lexsort((second, first))
-    return list(zip(first[order].tolist(), second[order].tolist(), strict=True))
+    return first[order], second[order]
 
 
 def _candidates(position: FloatArray, reach: float) -> tuple[IntArray, IntArray]:

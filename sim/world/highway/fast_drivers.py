@@ -11,9 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pmbm.sim.world.highway.env import ControlledVehicle, IDMVehicle, Vehicle
-from pmbm.sim.world.highway.lane_table import REACH, wrap
-from pmbm.types import FloatArray, IntArray
+from pmbm.kernels import twin
+from pmbm.sim.world.highway.env import (
+    ControlledVehicle,
+    IDMVehicle,
+    Landmark,
+    RoadObject,
+    Vehicle,
+)
+from pmbm.sim.world.highway.lane_table import REACH, LaneTable, wrap
+from pmbm.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from pmbm.sim.world.highway.fast_road import FastRoad
@@ -60,12 +67,79 @@ def column_of(values: list[Any]) -> FloatArray:
     return np.array(values, dtype=np.float64)
 
 
+class Fleet:
+    """What does not change while the same things are on a road: their parameters, one a row.
+
+    Rows are the road's vehicles, then its objects.
+    known : whether the step of every vehicle and object is the stock one.
+    driver (N,), changer (N,) : whether a vehicle drives by IDM, and changes lanes.
+    seen (N,) : which things a search for neighbours sees: all but landmarks.
+    """
+
+    def __init__(self, vehicles: list[Any], objects: list[Any]) -> None:
+        self.vehicles, self.objects = list(vehicles), list(objects)
+        self.things = self.vehicles + self.objects
+        kinds = [kind_of(vehicle) for vehicle in vehicles]
+        self.known = (
+            len(vehicles) > 0
+            and None not in kinds
+            and all(type(thing).__module__ == RoadObject.__module__ for thing in objects)
+        )
+        self.seen = np.array([not isinstance(thing, Landmark) for thing in self.things], bool)
+        self.half_length = column_of([thing.LENGTH / 2 for thing in self.things])
+        self.half_width = column_of([thing.WIDTH / 2 for thing in self.things])
+        if not self.known:
+            return
+        self.driver = np.array([kind is IDMVehicle for kind in kinds])
+        self.drivers = [v for v, driver in zip(vehicles, self.driver, strict=True) if driver]
+        self.changer = np.array(
+            [
+                kind is IDMVehicle and v.enable_lane_change
+                for v, kind in zip(vehicles, kinds, strict=True)
+            ],
+            bool,
+        )
+        self.delay = self.of_drivers("LANE_CHANGE_DELAY")
+        self.slowest, self.fastest = self.of_all("MIN_SPEED"), self.of_all("MAX_SPEED")
+        self.pursuit, self.lateral = self.of_all("TAU_PURSUIT"), self.of_all("KP_LATERAL")
+        self.turning, self.steering = self.of_all("KP_HEADING"), self.of_all("MAX_STEERING_ANGLE")
+        self.comfort, self.brake = (
+            self.of_drivers(name) for name in ("COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
+        )
+        self.exponent, self.most = self.of_drivers("DELTA"), self.of_drivers("ACC_MAX")
+        self.gap, self.headway = self.of_drivers("DISTANCE_WANTED"), self.of_drivers("TIME_WANTED")
+        # The names that were looked up last, and what was found.
+        self._lanes: dict[str, tuple[list[Any], list[int]]] = {}
+
+    def of_all(self, name: str) -> FloatArray:
+        return column_of([getattr(vehicle, name) for vehicle in self.vehicles])
+
+    def of_drivers(self, name: str) -> FloatArray:
+        """A parameter of IDM; nan where a vehicle has none."""
+        return column_of([getattr(vehicle, name, math.nan) for vehicle in self.vehicles])
+
+    def same(self, vehicles: list[Any], objects: list[Any]) -> bool:
+        return self.vehicles == vehicles and self.objects == objects
+
+    def columns(self, name: str, table: LaneTable) -> list[int]:
+        """The columns of the lanes that an attribute of the vehicles names.
+
+        Raises KeyError or TypeError where it names none of the table's.
+        """
+        names = [getattr(vehicle, name) for vehicle in self.vehicles]
+        known = self._lanes.get(name)
+        if known is None or known[0] != names:
+            columns = [table.column[tuple(lane)] for lane in names]
+            known = self._lanes[name] = names, columns
+        return list(known[1])
+
+
 class Places:
     """Where everything on a road is, for one setting of positions: vehicles, then objects."""
 
     def __init__(self, road: FastRoad, moved: FloatArray | None = None) -> None:
         """`moved` (N,2) : of the vehicles, where they are known."""
-        self.things = road.vehicles + road.objects
+        self.things = road.fleet.things
         if moved is None or road.objects:
             self.position = positions(self.things)
         else:
@@ -74,84 +148,71 @@ class Places:
 
     def hold(self, road: FastRoad) -> bool:
         """Whether everything is still where it was."""
-        things = road.vehicles + road.objects
-        return (
-            len(things) == len(self.things)
-            and all(map(_same, things, self.things))
-            and np.array_equal(self.position, positions(things))
-        )
+        things = road.fleet.things
+        return things == self.things and np.array_equal(self.position, positions(things))
 
 
 def positions(things: list[Any]) -> FloatArray:
     return np.concatenate([thing.position for thing in things]).reshape(-1, 2)
 
 
-def _same(a: object, b: object) -> bool:
-    return a is b
+@twin("neighbours")
+def neighbours(
+    along: FloatArray,
+    aside: FloatArray,
+    seen: BoolArray,
+    half_width: FloatArray,
+    length: FloatArray,
+    first: IntArray,
+    searched: IntArray,
+    offset: FloatArray,
+    reach: float,
+    row: IntArray,
+    column: IntArray,
+) -> tuple[IntArray, IntArray]:
+    """The front and the rear neighbours (Q,) of things `row` (Q,) on lanes `column` (Q,); -1 is
+    nobody.
 
-
-class Line:
-    """Who is on a lane, and on those that a search from it looks at, in order of place.
-
-    place : m along the lane.  row : of the thing.  tied : whether any two places are equal.
+    along, aside (N,M) : of N things on M lanes.  seen (N,) : by a search.
+    half_width, length (M,) : of the lanes; a lane goes on for `reach` beyond its ends.
+    first, searched, offset : as of `LaneTable.searches`.
     """
-
-    def __init__(self, road: FastRoad, column: int, places: Places) -> None:
-        table = road.table
-        free = road.visible.copy()
+    front, rear = np.full(len(row), -1), np.full(len(row), -1)
+    for lane in np.unique(column).tolist():
+        free = seen.copy()
         found_places, found_rows = [], []
-        for searched, offset in table.searched(column, road.neighbour_vehicles_connected_lanes):
-            along, aside = places.along[:, searched], places.aside[:, searched]
+        for k in range(first[lane], first[lane + 1]):
+            at, across = along[:, searched[k]], aside[:, searched[k]]
             on_lane = (
                 free
-                & (np.abs(aside) <= table.half_width[searched] + 1)
-                & (along >= -REACH)
-                & (along < table.length[searched] + REACH)
+                & (np.abs(across) <= half_width[searched[k]] + 1)
+                & (at >= -reach)
+                & (at < length[searched[k]] + reach)
             )
-            rows = np.flatnonzero(on_lane)
-            free[rows] = False
-            found_rows.append(rows)
-            found_places.append(along[rows] + offset)
-        rows, place = np.concatenate(found_rows), np.concatenate(found_places)
-        order = np.lexsort((rows, place))
-        self.place, self.row = place[order], rows[order]
-        self.tied = bool((self.place[1:] == self.place[:-1]).any())
-        self.place_list, self.row_list = self.place.tolist(), self.row.tolist()
+            free &= ~on_lane
+            found_rows.append(np.flatnonzero(on_lane))
+            found_places.append(at[on_lane] + offset[k])
+        rows, places = np.concatenate(found_rows), np.concatenate(found_places)
+        order = np.lexsort((rows, places))
+        line = places[order].tolist(), rows[order].tolist()
+        for query in np.flatnonzero(column == lane).tolist():
+            own = int(row[query])
+            here = bisect_left(line[0], float(along[own, lane]))
+            front[query] = _nearest(*line, own, range(here, len(line[0])))
+            rear[query] = _nearest(*line, own, range(here - 1, -1, -1))
+    return front, rear
 
-    def neighbours(self, row: int, at: float) -> tuple[int, int]:
-        """Rows of the front and of the rear neighbour of a thing at a place; -1 is nobody."""
-        here = bisect_left(self.place_list, at)
-        return self._front(row, here), self._rear(row, here)
 
-    def _front(self, row: int, here: int) -> int:
-        best, best_place = -1, math.inf
-        for k in range(here, len(self.row_list)):
-            if self.row_list[k] == row:
-                continue
-            if best >= 0 and self.place_list[k] > best_place:
-                break
-            best, best_place = self.row_list[k], self.place_list[k]
-        return best
-
-    def _rear(self, row: int, here: int) -> int:
-        best, best_place = -1, -math.inf
-        for k in range(here - 1, -1, -1):
-            if self.row_list[k] == row:
-                continue
-            if best >= 0 and self.place_list[k] < best_place:
-                break
-            best, best_place = self.row_list[k], self.place_list[k]
-        return best
-
-    def fronts(self, rows: IntArray, at: FloatArray) -> IntArray:
-        """The front neighbours of many things."""
-        if self.tied:
-            pairs = zip(rows.tolist(), at.tolist(), strict=True)
-            return np.array([self.neighbours(row, place)[0] for row, place in pairs], np.int64)
-        padded = np.append(self.row, (-1, -1))
-        here = np.searchsorted(self.place, at)
-        # Without equals, only the thing itself can stand where the search begins.
-        return padded[here + (padded[here] == rows)]
+def _nearest(places: list[float], rows: list[int], own: int, order: range) -> int:
+    """The row of the first in this order but the thing itself: of equals the last."""
+    best, best_place = -1, math.nan
+    for k in order:
+        if rows[k] == own:
+            continue
+        if best >= 0 and places[k] != best_place:
+            break
+        best, best_place = rows[k], places[k]
+    return best
 
 
 class Act:
@@ -162,49 +223,48 @@ class Act:
     """
 
     def __init__(self, road: FastRoad) -> None:
-        self.road, self.table, self.vehicles = road, road.table, road.vehicles
+        self.road, self.table, self.fleet = road, road.table, road.fleet
+        self.vehicles = self.fleet.vehicles
         self.places = road.places()
         things = self.places.things
-        self.speed = [float(thing.speed) for thing in things]
+        self.speeds = column_of([thing.speed for thing in things])
+        self.speed = self.speeds.tolist()
         self.heading = column_of([thing.heading for thing in things])
         self.direction = np.stack([np.cos(self.heading), np.sin(self.heading)], axis=1)
-        self.velocity = column_of(self.speed)[:, None] * self.direction
-        self.lines: dict[int, Line] = {}
+        self.velocity = self.speeds[:, None] * self.direction
 
     def run(self) -> bool:
         """False, with nothing done, where a vehicle is on a lane that the table does not have."""
-        column = self.table.column
+        fleet = self.fleet
         try:
-            self.lane = [column[tuple(vehicle.lane_index)] for vehicle in self.vehicles]
-            self.target = [column[tuple(vehicle.target_lane_index)] for vehicle in self.vehicles]
+            self.lane = fleet.columns("lane_index", self.table)
+            self.target = fleet.columns("target_lane_index", self.table)
         except (KeyError, TypeError):
             return False
-        drivers, cruisers = [], []
-        ends = (self.table.length - REACH / 2).tolist()
-        count = len(self.vehicles)
-        past_end = (
-            self.places.along[np.arange(count), self.target] > np.array(ends)[self.target]
-        ).tolist()
-        for row, vehicle in enumerate(self.vehicles):
-            driver = kind_of(vehicle) is IDMVehicle
-            if driver and vehicle.crashed:
-                continue
+        lane, target = np.array(self.lane), np.array(self.target)
+        crashed = np.array([vehicle.crashed for vehicle in self.vehicles], bool)
+        timer = column_of([getattr(vehicle, "timer", math.nan) for vehicle in self.vehicles])
+        past_end = self.places.along[np.arange(len(target)), target] > (
+            self.table.length[target] - REACH / 2
+        )
+        idle = fleet.driver & crashed
+        changes = fleet.changer & ((lane != target) | (timer > fleet.delay) | past_end)
+        for row in np.flatnonzero((past_end | changes) & ~idle).tolist():
+            vehicle = self.vehicles[row]
             if past_end[row]:
                 self._follow_road(row, vehicle)
-            if driver:
-                drivers.append(row)
-                if vehicle.enable_lane_change:
-                    self._change_lane(row, vehicle)
-            else:
-                cruisers.append(row)
-        self._control(np.array(drivers, np.int64), np.array(cruisers, np.int64))
+            if fleet.changer[row]:
+                self._change_lane(row, vehicle)
+        self._control(np.flatnonzero(fleet.driver & ~idle), np.flatnonzero(~fleet.driver))
         return True
 
-    def line(self, column: int) -> Line:
-        found = self.lines.get(column)
-        if found is None:
-            found = self.lines[column] = Line(self.road, column, self.places)
-        return found
+    def neighbours(self, rows: IntArray, columns: IntArray) -> tuple[IntArray, IntArray]:
+        """Rows of the front and of the rear neighbours of things on lanes; -1 is nobody."""
+        table, places = self.table, self.places
+        return neighbours(
+            places.along, places.aside, self.fleet.seen, table.half_width, table.length,
+            *table.searches(self.road.neighbour_vehicles_connected_lanes), REACH, rows, columns,
+        )  # fmt: skip
 
     # --- decisions, one vehicle at a time ------------------------------------------------------
 
@@ -261,7 +321,11 @@ class Act:
 
     def _worth_it(self, row: int, vehicle: Vehicle, side: Any, column: int) -> bool:
         """MOBIL: whether a change gains more than it costs, and brakes nobody unsafely."""
-        ahead, behind = self.line(column).neighbours(row, float(self.places.along[row, column]))
+        lane = self.lane[row]
+        (ahead, old_ahead), (behind, old_behind) = (
+            found.tolist()
+            for found in self.neighbours(np.array([row, row]), np.array([column, lane]))
+        )
         behind_then = self._acceleration(vehicle, behind, row)
         if behind_then < -vehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED:
             return False
@@ -270,8 +334,6 @@ class Act:
             aim = vehicle.target_lane_index[2]
             right_way = np.sign(side[2] - aim) == np.sign(vehicle.route[0][2] - aim)
             return bool(right_way) and not own_then < -vehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED
-        lane = self.lane[row]
-        old_ahead, old_behind = self.line(lane).neighbours(row, float(self.places.along[row, lane]))
         behind_now = self._acceleration(vehicle, behind, ahead)
         own_now = self._acceleration(vehicle, row, old_ahead)
         left_now = self._acceleration(vehicle, old_behind, row)
@@ -325,85 +387,58 @@ class Act:
             self.vehicles[row].action = {"steering": steer, "acceleration": accelerate}
 
     def _steering(self, rows: IntArray) -> FloatArray:
-        vehicles = [self.vehicles[row] for row in rows.tolist()]
+        fleet = self.fleet
         target = np.array(self.target)[rows]
         along, aside = self.places.along[rows, target], self.places.aside[rows, target]
-        speed, heading = column_of(self.speed)[rows], self.heading[rows]
-        ahead = along + speed * column_of([v.TAU_PURSUIT for v in vehicles])
-        future = self._lane_headings(target, ahead)
+        speed, heading = self.speeds[rows], self.heading[rows]
+        ahead = along + speed * fleet.pursuit[rows]
+        future = self.table.headings_of(target, ahead)
         pace = _all_not_zero(speed)
-        command = np.arcsin(_clip(-column_of([v.KP_LATERAL for v in vehicles]) * aside / pace, 1))
+        command = np.arcsin(_clip(-fleet.lateral[rows] * aside / pace, 1))
         reference = future + _clip(command, np.pi / 4)
-        rate = column_of([v.KP_HEADING for v in vehicles]) * wrap(reference - heading)
-        slip = np.arcsin(_clip(column_of([v.LENGTH / 2 for v in vehicles]) / pace * rate, 1))
-        most = column_of([v.MAX_STEERING_ANGLE for v in vehicles])
-        return _clip(np.arctan(2 * np.tan(slip)), most)
-
-    def _lane_headings(self, columns: IntArray, along: FloatArray) -> FloatArray:
-        table = np.zeros((len(columns), len(self.table.lanes)))
-        each = np.arange(len(columns))
-        table[each, columns] = along
-        return np.asarray(self.table.headings(table)[each, columns])
+        rate = fleet.turning[rows] * wrap(reference - heading)
+        slip = np.arcsin(_clip(fleet.half_length[rows] / pace * rate, 1))
+        return _clip(np.arctan(2 * np.tan(slip)), fleet.steering[rows])
 
     def _driven(self, rows: IntArray) -> FloatArray:
         """The accelerations of IDM: behind the leader, and in a change of lane behind that on the
         target lane too."""
-        vehicles = [self.vehicles[row] for row in rows.tolist()]
+        fleet = self.fleet
         lane, target = np.array(self.lane)[rows], np.array(self.target)[rows]
-        most = column_of([v.COMFORT_ACC_MAX for v in vehicles])
-        speed = column_of(self.speed)[rows]
-        aim = column_of([v.target_speed for v in vehicles])
-        limits = [self.table.limit[column] for column in lane.tolist()]
-        limit = column_of([math.inf if value is None else value for value in limits])
-        lowest = column_of([-math.inf if value is None else 0.0 for value in limits])
-        aim = np.minimum(np.maximum(aim, lowest), limit)
+        most, speed = fleet.comfort[rows], self.speeds[rows]
+        aim = column_of([vehicle.target_speed for vehicle in self.vehicles])[rows]
+        aim = np.minimum(np.maximum(aim, self.table.lowest[lane]), self.table.highest[lane])
         ratio = np.maximum(speed, 0) / np.abs(_all_not_zero(aim))
-        free = most * (1 - np.power(ratio, column_of([v.DELTA for v in vehicles])))
-        behind = self._behind(rows, vehicles, lane, lane, most, free)
+        free = most * (1 - np.power(ratio, fleet.exponent[rows]))
+        # One that changes lane looks at both.
         changing = np.flatnonzero(lane != target)
-        if len(changing):
-            some = [vehicles[k] for k in changing.tolist()]
-            other = self._behind(
-                rows[changing], some, lane[changing], target[changing], most[changing],
-                free[changing],
-            )  # fmt: skip
-            behind[changing] = np.minimum(behind[changing], other)
-        return _clip(behind, column_of([v.ACC_MAX for v in vehicles]))
+        looking = np.concatenate([np.arange(len(rows)), changing])
+        searched = np.concatenate([lane, target[changing]])
+        front, _ = self.neighbours(rows[looking], searched)
+        behind = self._behind(rows[looking], front, lane[looking], free[looking])
+        result, other = behind[: len(rows)], behind[len(rows) :]
+        result[changing] = np.minimum(result[changing], other)
+        return _clip(result, fleet.most[rows])
 
     def _behind(
-        self,
-        rows: IntArray,
-        vehicles: list[Vehicle],
-        lane: IntArray,
-        searched: IntArray,
-        most: FloatArray,
-        free: FloatArray,
+        self, rows: IntArray, front: IntArray, lane: IntArray, free: FloatArray
     ) -> FloatArray:
-        """Accelerations behind the leaders found on the lanes `searched`; gaps are measured along
-        the current lanes."""
-        front = np.full(len(rows), -1)
-        for column in np.unique(searched).tolist():
-            here = np.flatnonzero(searched == column)
-            at = self.places.along[rows[here], column]
-            front[here] = self.line(column).fronts(rows[here], at)
+        """Accelerations behind the leaders `front`; gaps are measured along the current lanes."""
         led = np.flatnonzero(front >= 0)
         if len(led) == 0:
-            return free.copy()
+            return free
         rows, front, lane = rows[led], front[led], lane[led]
-        followers = [vehicles[k] for k in led.tolist()]
-        along = self.places.along
+        fleet, along, speed = self.fleet, self.places.along, self.speeds[rows]
         gap = along[front, lane] - along[rows, lane]
         closing = np.vecdot(self.velocity[rows] - self.velocity[front], self.direction[rows])
-        speed = column_of(self.speed)[rows]
-        brake = column_of([-v.COMFORT_ACC_MAX * v.COMFORT_ACC_MIN for v in followers])
+        most = fleet.comfort[rows]
         wanted = (
-            column_of([v.DISTANCE_WANTED for v in followers])
-            + speed * column_of([v.TIME_WANTED for v in followers])
-            + speed * closing / (2 * np.sqrt(brake))
+            fleet.gap[rows]
+            + speed * fleet.headway[rows]
+            + speed * closing / (2 * np.sqrt(-most * fleet.brake[rows]))
         )
-        result = free.copy()
-        result[led] -= most[led] * np.power(wanted / _all_not_zero(gap), 2)
-        return result
+        free[led] -= most * np.power(wanted / _all_not_zero(gap), 2)
+        return free
 
 
 def _clip(x: FloatArray, most: Any) -> FloatArray:

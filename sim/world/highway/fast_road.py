@@ -25,16 +25,13 @@ import numpy as np
 from pmbm.sim.world.highway.collisions import near_pairs
 from pmbm.sim.world.highway.env import (
     ControlledVehicle,
-    IDMVehicle,
-    Landmark,
     MDPVehicle,
     RegulatedRoad,
     Road,
-    RoadObject,
     Vehicle,
     utils,
 )
-from pmbm.sim.world.highway.fast_drivers import Act, Places, column_of, kind_of, positions
+from pmbm.sim.world.highway.fast_drivers import Act, Fleet, Places, column_of, positions
 from pmbm.sim.world.highway.lane_table import LaneTable
 from pmbm.types import FloatArray
 
@@ -70,32 +67,35 @@ class FastRoad(Road):  # type: ignore[misc]
             known = self._table = LaneTable(self.network)
         return known
 
+    @property
+    def fleet(self) -> Fleet:
+        known: Fleet | None = self.__dict__.get("_fleet")
+        if known is None or not known.same(self.vehicles, self.objects):
+            known = self._fleet = Fleet(self.vehicles, self.objects)
+        return known
+
     def act(self) -> None:
-        if not self._all_known() or not Act(self).run():
+        if not self.fleet.known or not Act(self).run():
             super().act()
 
     def step(self, dt: float) -> None:
-        if not self._all_known() or self.record_history:
+        fleet = self.fleet
+        if not fleet.known or self.record_history:
             Road.step(self, dt)
             return
-        places = self._places = Places(self, _advance(self.vehicles, dt))
-        count = len(self.vehicles)
-        heading = column_of([thing.heading for thing in places.things])
+        places = self._places = Places(self, _advance(fleet, dt))
+        count = len(fleet.vehicles)
+        heading = column_of([thing.heading for thing in fleet.things])
         closest = self.table.closest(places.along[:count], places.aside[:count], heading[:count])
-        for vehicle, column in zip(self.vehicles, closest.tolist(), strict=True):
+        for vehicle, column in zip(fleet.vehicles, closest.tolist(), strict=True):
             vehicle.lane_index = self.table.index[column]
             vehicle.lane = self.table.lanes[column]
+        speed = column_of([thing.speed for thing in fleet.things])
         pairs = near_pairs(
-            places.position,
-            heading,
-            column_of([thing.speed for thing in places.things]),
-            column_of([thing.LENGTH for thing in places.things]) / 2,
-            column_of([thing.WIDTH for thing in places.things]) / 2,
-            count,
-            dt,
+            places.position, heading, speed, fleet.half_length, fleet.half_width, count, dt
         )
-        for i, j in pairs:
-            places.things[i].handle_collisions(places.things[j], dt)
+        for i, j in zip(*(rows.tolist() for rows in pairs), strict=True):
+            fleet.things[i].handle_collisions(fleet.things[j], dt)
 
     def places(self) -> Places:
         """Where everything is, worked out again where somebody else has moved something."""
@@ -103,22 +103,6 @@ class FastRoad(Road):  # type: ignore[misc]
         if known is None or not known.hold(self):
             known = self._places = Places(self)
         return known
-
-    @property
-    def visible(self) -> Any:
-        """(N,) which things a search for neighbours sees: all but landmarks."""
-        count = len(self.vehicles)
-        seen = np.ones(count + len(self.objects), bool)
-        for row, thing in enumerate(self.objects, start=count):
-            seen[row] = not isinstance(thing, Landmark)
-        return seen
-
-    def _all_known(self) -> bool:
-        return (
-            len(self.vehicles) > 0
-            and all(kind_of(vehicle) is not None for vehicle in self.vehicles)
-            and all(type(thing).__module__ == RoadObject.__module__ for thing in self.objects)
-        )
 
 
 class FastRegulatedRoad(FastRoad, RegulatedRoad):  # type: ignore[misc]
@@ -174,20 +158,24 @@ def adopt(road: Any) -> Any:
     return road
 
 
-def _advance(vehicles: list[Vehicle], dt: float) -> FloatArray:
+def _advance(fleet: Fleet, dt: float) -> FloatArray:
     """The stock vehicle dynamics over a step, without finding the lanes anew; the places (N,2)."""
-    for vehicle in vehicles:
-        if isinstance(vehicle, IDMVehicle):
-            vehicle.timer += dt
-        vehicle.clip_actions()
-    beta = np.arctan(1 / 2 * np.tan(column_of([v.action["steering"] for v in vehicles])))
-    acceleration = column_of([v.action["acceleration"] for v in vehicles])
+    vehicles = fleet.vehicles
+    for vehicle in fleet.drivers:
+        vehicle.timer += dt
     speed = column_of([v.speed for v in vehicles])
+    clipped = np.array([v.crashed for v in vehicles], bool)
+    clipped |= (speed > fleet.fastest) | (speed < fleet.slowest)
+    for row in np.flatnonzero(clipped).tolist():
+        vehicles[row].clip_actions()
+    actions = [v.action for v in vehicles]
+    beta = np.arctan(1 / 2 * np.tan(column_of([action["steering"] for action in actions])))
+    acceleration = column_of([action["acceleration"] for action in actions])
     heading = column_of([v.heading for v in vehicles])
-    half = column_of([v.LENGTH / 2 for v in vehicles])
     position = positions(vehicles)
     course = heading + beta
     position += speed[:, None] * np.stack([np.cos(course), np.sin(course)], axis=1) * dt
+    half = fleet.half_length[: len(vehicles)]
     headings = (heading + speed * np.sin(beta) / half * dt).tolist()
     speeds = (speed + acceleration * dt).tolist()
     for vehicle, place, new_heading, new_speed in zip(

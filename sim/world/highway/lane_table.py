@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pmbm.sim.world.highway.env import AbstractLane, CircularLane, SineLane, StraightLane
-from pmbm.types import FloatArray
+from pmbm.types import FloatArray, IntArray
 
 LaneIndex = tuple[str, str, int]
 REACH = float(AbstractLane.VEHICLE_LENGTH)
@@ -29,6 +29,7 @@ class LaneTable:
 
     index : the network's name of each lane.  column : name -> number.
     length, half_width (M,) : m.  limit (M,) : m/s, or None where there is none.
+    lowest, highest (M,) : the same as bounds of a wanted speed.
     """
 
     def __init__(self, network: Any) -> None:
@@ -40,7 +41,9 @@ class LaneTable:
         self.length = np.array([lane.length for lane in self.lanes], np.float64)
         self.half_width = np.array([lane.width / 2 for lane in self.lanes], np.float64)
         self.limit = [lane.speed_limit for lane in self.lanes]
-        self._searches: dict[tuple[int, bool], list[tuple[int, float]]] = {}
+        self.lowest = np.array([-np.inf if limit is None else 0.0 for limit in self.limit])
+        self.highest = np.array([np.inf if limit is None else limit for limit in self.limit])
+        self._searches: dict[bool, tuple[IntArray, IntArray, FloatArray]] = {}
         kinds = np.array([_KNOWN.index(type(lane)) for lane in self.lanes], np.int64)
         self._straight, self._sine, self._arc = (np.flatnonzero(kinds == k) for k in range(3))
         # A sine lane is a straight one with a swing.
@@ -55,6 +58,13 @@ class LaneTable:
             np.array([getattr(lane, name) for lane in sines], np.float64)
             for name in ("amplitude", "pulsation", "phase")
         )
+        # Of each lane, its row in the tables of its kind.
+        self._row = np.zeros(len(self.lanes), np.int64)
+        for columns in (self._sine, self._arc):
+            self._row[columns] = np.arange(len(columns))
+        self._kind = kinds
+        self._own_heading = np.zeros(len(self.lanes))
+        self._own_heading[self._based] = self._heading
         arcs = [self.lanes[k] for k in self._arc]
         self._centre = _table([lane.center for lane in arcs], 2)
         self._radius, self._start_phase, self._turn = (
@@ -69,6 +79,9 @@ class LaneTable:
 
     def coordinates(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
         """How far along (N,M) and to the right of (N,M) each lane's line things (N,2) are, m."""
+        if len(self._straight) == len(self.lanes):
+            delta = position[:, None, :] - self._start
+            return np.vecdot(delta, self._along), np.vecdot(delta, self._aside)
         along = np.empty((len(position), len(self.lanes)))
         aside = np.empty_like(along)
         if len(self._based):
@@ -89,14 +102,22 @@ class LaneTable:
 
     def headings(self, along: FloatArray) -> FloatArray:
         """Headings (N,M) of the lanes at places (N,M) along them, rad."""
-        heading = np.empty_like(along)
-        heading[:, self._based] = self._heading
+        columns = np.broadcast_to(np.arange(len(self.lanes)), along.shape)
+        return self.headings_of(columns, along)
+
+    def headings_of(self, columns: IntArray, along: FloatArray) -> FloatArray:
+        """Headings (...) of lanes (...) at places (...) along them, rad."""
+        heading = self._own_heading[columns]
         if len(self._sine):
-            slope = np.cos(self._pulsation * along[:, self._sine] + self._phase)
-            heading[:, self._sine] += np.arctan(self._amplitude * self._pulsation * slope)
+            at = self._kind[columns] == _KNOWN.index(SineLane)
+            row = self._row[columns[at]]
+            slope = np.cos(self._pulsation[row] * along[at] + self._phase[row])
+            heading[at] += np.arctan(self._amplitude[row] * self._pulsation[row] * slope)
         if len(self._arc):
-            phase = self._turn * along[:, self._arc] / self._radius + self._start_phase
-            heading[:, self._arc] = phase + np.pi / 2 * self._turn
+            at = self._kind[columns] == _KNOWN.index(CircularLane)
+            row = self._row[columns[at]]
+            phase = self._turn[row] * along[at] / self._radius[row] + self._start_phase[row]
+            heading[at] = phase + np.pi / 2 * self._turn[row]
         return heading
 
     def closest(self, along: FloatArray, aside: FloatArray, heading: FloatArray) -> Any:
@@ -106,11 +127,18 @@ class LaneTable:
         distance += angle
         return np.argmin(distance, axis=1)
 
-    def searched(self, column: int, connected: bool) -> list[tuple[int, float]]:
-        """The lanes that a search for neighbours on a lane looks at in turn: column, and offset."""
-        found = self._searches.get((column, connected))
+    def searches(self, connected: bool) -> tuple[IntArray, IntArray, FloatArray]:
+        """The lanes that a search for neighbours on each lane looks at in turn: `first` (M+1,) of
+        lane m's in the others, columns and offsets."""
+        found = self._searches.get(connected)
         if found is None:
-            found = self._searches[column, connected] = self._search(column, connected)
+            each = [self._search(column, connected) for column in range(len(self.lanes))]
+            pairs = [pair for of_lane in each for pair in of_lane]
+            found = self._searches[connected] = (
+                np.cumsum([0, *map(len, each)]),
+                np.array([column for column, _ in pairs], np.int64),
+                np.array([offset for _, offset in pairs], np.float64),
+            )
         return found
 
     def _search(self, column: int, connected: bool) -> list[tuple[int, float]]:
