@@ -30,7 +30,7 @@ _KEPT = 8
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownTrial:
     """A replay that was written: where, and what to say of it."""
 
     file: Path
@@ -121,7 +121,7 @@ class Outcome:
         )
         return self.runs[worst].trial
 
-    def write_replay(self, folder: Path, node: str) -> Shown:
+    def write_replay(self, folder: Path, node: str) -> ShownTrial:
         """Write the worst trial's replay, for the test of that node id."""
         metric = self._asked
         trial = self.worst()
@@ -130,7 +130,7 @@ class Outcome:
             folder, node, self.source, {self.tracker: self.factory}, self.seed, trial, command
         )
         text = f"worst trial by {metric}: {trial} of seed {self.seed}\nreplay: {file}\n{command}"
-        return Shown(file, text)
+        return ShownTrial(file, text)
 
     def _defined(self, metric: str) -> list[float]:
         values = [value for value in self.values(metric) if value is not None]
@@ -199,7 +199,7 @@ class TrackingGate:
     update: bool = False
     most: int | None = None
     stored: list[Path] = field(default_factory=list)
-    _show: Callable[[Path, str], Shown] | None = None
+    _show: Callable[[Path, str], ShownTrial] | None = None
 
     def check(
         self,
@@ -225,7 +225,7 @@ class TrackingGate:
         The other arguments are those of `pmbm.regression.Rules` and `gated_metric`.  Raises
         BaselineMismatch where there is no stored baseline, or none for these recordings.
         """
-        from pmbm.regression import Entry, Rules, Verdict, gated_metric, load_baseline, run_gate
+        from pmbm.regression import GateEntry, Rules, Verdict, gated_metric, load_baseline, run_gate
         from pmbm.regression.wording import Commands, in_words
 
         rules = Rules(
@@ -247,14 +247,14 @@ class TrackingGate:
             baseline.check(gated, seed)
         else:
             baseline = against
-        entries = {source.name: Entry(source, baseline, tracker)}
+        entries = {source.name: GateEntry(source, baseline, tracker)}
         report = run_gate(entries, gated, rules, seed=seed, jobs=jobs)
         worst = report.scenes[0].worst
         trackers = {"candidate": tracker} | ({} if against is None else {"baseline": against})
 
-        def show(folder: Path, node: str) -> Shown:
+        def show(folder: Path, node: str) -> ShownTrial:
             shown = _write_page(folder, node, source, trackers, seed, worst, _repeat(node))
-            return Shown(shown, f"worst trial: {worst} of seed {seed}\nreplay: {shown}")
+            return ShownTrial(shown, f"worst trial: {worst} of seed {seed}\nreplay: {shown}")
 
         self._show = show
         if report.verdict is not Verdict.PASS:
@@ -263,7 +263,7 @@ class TrackingGate:
             raise AssertionError(in_words(report, commands))
         return report
 
-    def write_replay(self, folder: Path, node: str) -> Shown | None:
+    def write_replay(self, folder: Path, node: str) -> ShownTrial | None:
         """Write the replay of the last check's worst trial; None before any check."""
         return None if self._show is None else self._show(folder, node)
 

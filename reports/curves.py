@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Curve:
+class MetricCurve:
     """One metric over the levels of one parameter.
 
     levels : numbers, or words that are drawn at equal distances.
@@ -35,7 +35,7 @@ class Curve:
     connected: bool = True
 
 
-def curve_figure(curve: Curve, parameter: str, *, dark: bool = False) -> Figure:
+def curve_figure(curve: MetricCurve, parameter: str, *, dark: bool = False) -> Figure:
     """One metric against one parameter, for a column of a page."""
     from matplotlib.figure import Figure
 
@@ -59,7 +59,7 @@ def svg_image(figure: Figure) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(text.getvalue()).decode('ascii')}"
 
 
-def _panel(axes: Axes, curve: Curve, colours: dict[str, str]) -> None:
+def _panel(axes: Axes, curve: MetricCurve, colours: dict[str, str]) -> None:
     words = not all(isinstance(level, int | float) for level in curve.levels)
     x = np.arange(len(curve.levels)) if words else np.array(curve.levels, dtype=np.float64)
     order = np.argsort(x, kind="stable")

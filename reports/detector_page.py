@@ -13,8 +13,8 @@ from pmbm.labels import Label
 from pmbm.reports.curves import svg_image
 from pmbm.reports.drawing import colours_of, styled
 from pmbm.reports.page import render_page
-from pmbm.sim.fit.goodness_of_fit import Comparison
-from pmbm.sim.fit.observations import Evidence
+from pmbm.sim.fit.goodness_of_fit import FitComparison
+from pmbm.sim.fit.observations import Observations
 from pmbm.sim.fit.two_sample import TwoSample
 from pmbm.types import FloatArray
 
@@ -51,10 +51,10 @@ class DetectorReport:
     name: str
     provenance: str
     command: str
-    real: Evidence
-    model: Evidence
-    fitted: Sequence[Comparison]
-    held_back: Sequence[Comparison]
+    real: Observations
+    model: Observations
+    fitted: Sequence[FitComparison]
+    held_back: Sequence[FitComparison]
     realism: Realism | None
 
 
@@ -79,7 +79,7 @@ def detector_page(report: DetectorReport) -> str:
     )
 
 
-def _row(item: Comparison) -> dict[str, Any]:
+def _row(item: FitComparison) -> dict[str, Any]:
     recall = item.name.startswith("recall")
     return {
         "name": item.name,
@@ -107,7 +107,7 @@ def _realism(realism: Realism) -> dict[str, Any]:
     }
 
 
-_Draw = Callable[["Axes", Evidence, str, str, bool], None]
+_Draw = Callable[["Axes", Observations, str, str, bool], None]
 
 
 def _pictures(report: DetectorReport) -> list[tuple[str, _Draw]]:
@@ -165,7 +165,7 @@ def _means(x: FloatArray, values: FloatArray, edges: FloatArray) -> tuple[FloatA
 
 
 def _recall_over_range(label: int) -> _Draw:
-    def draw(axes: Axes, evidence: Evidence, colour: str, name: str, real: bool) -> None:
+    def draw(axes: Axes, evidence: Observations, colour: str, name: str, real: bool) -> None:
         rows = evidence.chances.label == label
         chances = evidence.chances.take(rows)
         x, y = _means(chances.distance, chances.found.astype(float), np.arange(0, 200, 8.0))
@@ -176,7 +176,7 @@ def _recall_over_range(label: int) -> _Draw:
 
 
 def _recall_over_visibility(label: int) -> _Draw:
-    def draw(axes: Axes, evidence: Evidence, colour: str, name: str, real: bool) -> None:
+    def draw(axes: Axes, evidence: Observations, colour: str, name: str, real: bool) -> None:
         chances = evidence.chances.take(evidence.chances.label == label)
         edges = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
         x, y = _means(chances.visibility, chances.found.astype(float), edges)
@@ -188,7 +188,7 @@ def _recall_over_visibility(label: int) -> _Draw:
 
 
 def _noise(label: int) -> _Draw:
-    def draw(axes: Axes, evidence: Evidence, colour: str, name: str, real: bool) -> None:
+    def draw(axes: Axes, evidence: Observations, colour: str, name: str, real: bool) -> None:
         chances = evidence.chances.take(evidence.hits.chance)
         rows = chances.label == label
         for axis, line in ((0, "-"), (1, ":")):
@@ -201,7 +201,7 @@ def _noise(label: int) -> _Draw:
 
 
 def _scores(label: int) -> _Draw:
-    def draw(axes: Axes, evidence: Evidence, colour: str, name: str, real: bool) -> None:
+    def draw(axes: Axes, evidence: Observations, colour: str, name: str, real: bool) -> None:
         hits = evidence.hits.score[evidence.chances.label[evidence.hits.chance] == label]
         falses = evidence.falses.score[evidence.falses.label == label]
         for score, line in ((hits, "-"), (falses, ":")):
@@ -216,7 +216,7 @@ def _scores(label: int) -> _Draw:
 
 
 def _runs(label: int) -> _Draw:
-    def draw(axes: Axes, evidence: Evidence, colour: str, name: str, real: bool) -> None:
+    def draw(axes: Axes, evidence: Observations, colour: str, name: str, real: bool) -> None:
         chances = evidence.chances.take(evidence.chances.label == label)
         order = np.lexsort((chances.frame, chances.object_id, chances.recording))
         missed = ~chances.found[order]
@@ -236,7 +236,7 @@ def _runs(label: int) -> _Draw:
     return draw
 
 
-def _clutter(axes: Axes, evidence: Evidence, colour: str, name: str, real: bool) -> None:
+def _clutter(axes: Axes, evidence: Observations, colour: str, name: str, real: bool) -> None:
     key = evidence.falses.recording * 10**7 + evidence.falses.frame
     count = np.unique(key, return_counts=True)[1]
     frames = int(evidence.frames.sum())

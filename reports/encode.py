@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmbm.labels import Label
 from pmbm.reports.hidden_grid import CODES, DECADES, LOWEST, hidden_grid
 from pmbm.reports.matching import BoolPair, first_detection, identity_switches, matched
-from pmbm.reports.values import Replay
+from pmbm.reports.values import ReplayPage
 from pmbm.types import CLUTTER, FloatArray, IntArray, Recording, Tracks, TrackSequence
 
 METRE, RADIAN, SHARE, SPEED = 0.01, 0.001, 0.01, 0.05
@@ -35,7 +35,7 @@ OBSERVABLE, CRASHED, DETECTED = 1, 2, 4
 """Bits of a truth row's flags; DETECTED: the detector has reported the object by this frame."""
 
 
-def encode_replay(replay: Replay) -> dict[str, Any]:
+def encode_replay(replay: ReplayPage) -> dict[str, Any]:
     """The replay as a JSON-able dict; `templates/replay/decode.js` is its reader."""
     recording = replay.recording
     centre = _centre(recording)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pmbm.metrics import evaluate
 from pmbm.reports.render import replay_page
-from pmbm.reports.values import Replay
+from pmbm.reports.values import ReplayPage
 from pmbm.types import Recording, TrackSequence
 
 
@@ -16,7 +16,7 @@ from pmbm.types import Recording, TrackSequence
 class Shown:
     """A replay that a notebook shows as the value of a cell, in a frame of its own."""
 
-    replay: Replay
+    replay: ReplayPage
     height: int = 1000
 
     def _repr_html_(self) -> str:
@@ -42,4 +42,4 @@ def show(
         name: {k: v.series for k, v in evaluate(recording, said).items() if v.series is not None}
         for name, said in (tracks or {}).items()
     }
-    return Shown(Replay(recording=recording, tracks=tracks or {}, series=series))
+    return Shown(ReplayPage(recording=recording, tracks=tracks or {}, series=series))

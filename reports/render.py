@@ -12,7 +12,7 @@ from markupsafe import Markup
 from pmbm.reports.encode import encode_replay
 from pmbm.reports.page import render_page, script_json
 from pmbm.reports.tables import Row, Table, metric_rows, metric_tables
-from pmbm.reports.values import Replay, Section
+from pmbm.reports.values import ReplayPage, Section
 
 LAYERS = (
     ("truth", "truth"),
@@ -48,7 +48,7 @@ def run_page(sections: Sequence[Section], *, title: str, command: str) -> str:
     )
 
 
-def replay_page(replay: Replay) -> str:
+def replay_page(replay: ReplayPage) -> str:
     """The page of a replay alone."""
     name = replay.recording.name
     return render_page("replay.html.j2", title=name, view=replay_view(replay), layers=LAYERS)
@@ -64,7 +64,7 @@ class ReplayView:
     data: Markup
 
 
-def replay_view(replay: Replay) -> ReplayView:
+def replay_view(replay: ReplayPage) -> ReplayView:
     return ReplayView(
         name=replay.recording.name,
         title=replay.title,

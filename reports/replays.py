@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from pmbm.metrics import evaluate
 from pmbm.reports.render import run_page
-from pmbm.reports.values import Replay, Section
+from pmbm.reports.values import ReplayPage, Section
 from pmbm.seeding import tracker_seed
 from pmbm.study import Source, StepTime, TrialResult, follow, summarise
 from pmbm.tracking import TrackerFactory, tracker_factory
@@ -20,7 +20,7 @@ def trial_replay(
     *,
     title: str = "",
     with_maps: bool = False,
-) -> tuple[Replay, TrialResult]:
+) -> tuple[ReplayPage, TrialResult]:
     """Record a trial and run trackers over it: what to look at, and the scores.
 
     title : which trial it is, for people; by default its number and seed.
@@ -41,7 +41,7 @@ def trial_replay(
             maps[name] = follow(detailed, recording, own)
     result = TrialResult(source.name, seed, trial, recording.digest(), scores, times)
     title = title or f"trial {trial} of seed {seed}"
-    replay = Replay(recording=recording, tracks=tracks, series=series, maps=maps, title=title)
+    replay = ReplayPage(recording=recording, tracks=tracks, series=series, maps=maps, title=title)
     return replay, result
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pmbm.reports.curves import Curve, curve_figure, svg_image
+from pmbm.reports.curves import MetricCurve, curve_figure, svg_image
 from pmbm.reports.page import render_page
 from pmbm.reports.render import LAYERS, ReplayView, facts, replay_view
 from pmbm.reports.tables import (
@@ -44,7 +44,7 @@ SETTINGS_IN_FULL = 3
 
 
 @dataclass(frozen=True)
-class Finding:
+class StudyFinding:
     """What one tracker's comparison with the reference shows in one scenario.
 
     verdict : better or worse where any cell says so after Holm's adjustment over all cells and
@@ -148,7 +148,7 @@ def study_markdown(study: StudyReport) -> str:
     return "\n".join(lines) + "\n"
 
 
-def findings(study: StudyReport) -> tuple[Finding, ...]:
+def findings(study: StudyReport) -> tuple[StudyFinding, ...]:
     """One finding per scenario and compared tracker, on the leading metric.
 
     A cell counts where the p-value of its paired difference, adjusted by Holm (Scand. J. Statist.
@@ -206,7 +206,7 @@ def _finding(
     metric: str,
     unit: str,
     cells: Sequence[tuple[CellResults, Estimate, Verdict]],
-) -> Finding:
+) -> StudyFinding:
     verdicts = [verdict for *_, verdict in cells]
     better, worse = verdicts.count("better"), verdicts.count("worse")
     overall: Verdict = "tie"
@@ -231,7 +231,7 @@ def _finding(
             f"{_interval(e, unit)} at {cell.label}" for cell, e, _ in (extremes[0], extremes[-1])
         ]
         detail = f"from {ends[0]} to {ends[1]}"
-    return Finding(overall, f"{scenario}: {what}", f"{metric} difference {detail}")
+    return StudyFinding(overall, f"{scenario}: {what}", f"{metric} difference {detail}")
 
 
 def _interval(difference: Estimate, unit: str) -> str:
@@ -278,7 +278,7 @@ def _curves(cells: Sequence[CellResults]) -> Iterable[_Curves]:
             yield _Curves(parameter, tuple(pictures))
 
 
-def robustness(cells: Sequence[CellResults], parameter: str) -> list[Curve]:
+def robustness(cells: Sequence[CellResults], parameter: str) -> list[MetricCurve]:
     """The study's metrics against one swept parameter; none where it has fewer than two levels.
 
     Where other parameters are swept too, a trial's value at a level is its mean over their
@@ -296,7 +296,7 @@ def robustness(cells: Sequence[CellResults], parameter: str) -> list[Curve]:
         for level in levels
     }
     return [
-        Curve(
+        MetricCurve(
             metric=shown_metric(metric),
             levels=tuple(levels),
             lines={
@@ -388,4 +388,12 @@ def _cell_text(text: Any) -> str:
     return str(text)
 
 
-__all__ = ["Finding", "findings", "holm", "p_value", "robustness", "study_markdown", "study_page"]
+__all__ = [
+    "StudyFinding",
+    "findings",
+    "holm",
+    "p_value",
+    "robustness",
+    "study_markdown",
+    "study_page",
+]

@@ -15,7 +15,7 @@ from pmbm.errors import InputError
 from pmbm.reports.replays import trial_replay
 from pmbm.reports.study_report import leading_metric
 from pmbm.reports.tables import shown_metric
-from pmbm.reports.values import CellResults, Failure, Replay, StudyReport, WorstTrial
+from pmbm.reports.values import CellResults, Failure, ReplayPage, StudyReport, WorstTrial
 from pmbm.study import ConfiguredTracker, Source, StudyResults, TrialResult, load_results
 
 Resolve = Callable[[str, Mapping[str, Any]], Source]
@@ -154,7 +154,7 @@ def _played(results: StudyResults, sources: _Sources, file: str, one: _Candidate
     return WorstTrial(why=why, command=command, replay=_at_its_worst(replay))
 
 
-def _at_its_worst(played: Replay) -> Replay:
+def _at_its_worst(played: ReplayPage) -> ReplayPage:
     """The replay, to begin where the first tracker's GOSPA is largest after the first second."""
     tracker = next(iter(played.tracks))
     frames = played.tracks[tracker].frame

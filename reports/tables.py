@@ -89,7 +89,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Difference:
+class ShownDifference:
     text: Text
     bar: Bar
 
@@ -103,7 +103,7 @@ class Row:
     arrow: str
     answers: str
     cells: tuple[Text | None, ...]
-    differences: tuple[Difference | None, ...]
+    differences: tuple[ShownDifference | None, ...]
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ def words(estimate: Estimate | None, trials: int, *, signed: bool = False) -> Te
 
 def difference(
     value: Estimate | None, metric: ShownMetric, trials: int, reach: float | None = None
-) -> Difference | None:
+) -> ShownDifference | None:
     """A paired difference in words and as a bar about zero."""
     text = words(value, trials, signed=True)
     if value is None or text is None or value.mean is None:
@@ -222,7 +222,7 @@ def difference(
     label = f"{metric.name}: difference {text.mean}"
     if text.spread:
         label += f" {text.spread} ({verdict if verdict != 'tie' else 'no clear difference'})"
-    return Difference(text, Bar(at, left, right, value.low is not None, verdict, label))
+    return ShownDifference(text, Bar(at, left, right, value.low is not None, verdict, label))
 
 
 def judge(value: Estimate, sign: int) -> Verdict:

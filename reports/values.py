@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Replay:
+class ReplayPage:
     """One trial to look at, frame by frame.
 
     recording : what happened and what the detector said of it.
@@ -65,7 +65,7 @@ class Section:
     name: str
     stresses: str
     summary: Summary
-    replay: Replay | None = None
+    replay: ReplayPage | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -107,7 +107,7 @@ class WorstTrial:
 
     why: str
     command: str
-    replay: Replay | None = None
+    replay: ReplayPage | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

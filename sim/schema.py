@@ -39,7 +39,7 @@ class Form(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
-class Sensor(Form):
+class SensorForm(Form):
     """What the sensor can see, and where it stands if nothing carries it."""
 
     pose: Pose | None = Field(
@@ -227,7 +227,7 @@ class Births(Body):
 class Surroundings(Form):
     """What every kind of scene may have."""
 
-    sensor: Sensor = Sensor()
+    sensor: SensorForm = SensorForm()
     occluders: dict[str, Occluder] = {}
     tracks: dict[str, Track] = {}
     overlaps: Literal["refused", "allowed"] = Field(

@@ -68,7 +68,7 @@ class Streams:
 
 
 @dataclass(frozen=True, eq=False)
-class Members:
+class StreamMembers:
     """Which rows of a flat table belong to which object.
 
     frame (R,) : absolute frame of each row, ascending within an object.

@@ -16,7 +16,7 @@ from pmbm.cli.many import ManyValues
 if TYPE_CHECKING:
     from pmbm.reports.detector_page import Realism
     from pmbm.sim.detector.model import DetectorModel
-    from pmbm.sim.fit.goodness_of_fit import Comparison, Figure
+    from pmbm.sim.fit.goodness_of_fit import Figure, FitComparison
     from pmbm.types import Recording
 
 _SEED = 7
@@ -121,7 +121,7 @@ def command(
     fitted_real = [figures(r) for r in real]
     fitted_model = _modelled_figures(model, real, trials, min_iou)
     fitted = compare(fitted_real, fitted_model)
-    judged: list[Comparison] = []
+    judged: list[FitComparison] = []
     if held:
         held_model = _modelled_figures(model, held, trials, min_iou)
         held_real = [figures(r) for r in held]
@@ -219,7 +219,7 @@ def _realism(recordings: Sequence[Recording], model: DetectorModel) -> Realism:
     return outcome
 
 
-def _print(title: str, rows: Sequence[Comparison]) -> None:
+def _print(title: str, rows: Sequence[FitComparison]) -> None:
     from rich.console import Console
     from rich.table import Table
 

@@ -16,7 +16,7 @@ import click
 from pmbm.cli.wording import duration
 
 if TYPE_CHECKING:
-    from pmbm.regression import Entry, GatedMetric, GateReport, Pilot, Rules, wording
+    from pmbm.regression import GatedMetric, GateEntry, GateReport, Pilot, Rules, wording
     from pmbm.study import Cell, ConfiguredTracker, Study
 
 _EXIT = {"pass": 0, "fail": 1, "undecided": 3}
@@ -212,9 +212,9 @@ def _compare(task: _Task, stack: ExitStack, against: str | None) -> GateReport:
     return _run(task, entries)
 
 
-def _entries(task: _Task, stack: ExitStack, against: str | None) -> dict[str, Entry] | None:
+def _entries(task: _Task, stack: ExitStack, against: str | None) -> dict[str, GateEntry] | None:
     """Each scenario with both its trackers; None where they are the same code."""
-    from pmbm.regression import Entry, load_baseline
+    from pmbm.regression import GateEntry, load_baseline
     from pmbm.regression.gitref import GitTracker, checked_out, same_sources
     from pmbm.study import ConfiguredTracker
     from pmbm.tracking import SHIPPED_TRACKERS
@@ -240,7 +240,7 @@ def _entries(task: _Task, stack: ExitStack, against: str | None) -> dict[str, En
             for label, tracker in own.items()
         }
     return {
-        label: Entry(cell.source, baselines[label], task.tracker(cell))
+        label: GateEntry(cell.source, baselines[label], task.tracker(cell))
         for label, cell in cells.items()
     }
 
@@ -287,17 +287,19 @@ def _at_least(task: _Task, margin: float) -> str:
     return f"at least {needed} trials{few}, unless the candidate is better"
 
 
-def _entries_to_try(task: _Task, stack: ExitStack, against: str | None) -> dict[str, Entry] | None:
+def _entries_to_try(
+    task: _Task, stack: ExitStack, against: str | None
+) -> dict[str, GateEntry] | None:
     """As `_entries`; where nothing is stored yet, the candidate beside itself, for the time."""
     from pmbm.errors import BaselineMismatch
-    from pmbm.regression import Entry
+    from pmbm.regression import GateEntry
 
     try:
         return _entries(task, stack, against)
     except BaselineMismatch as error:
         click.echo(f"spread unknown: {error}")
         return {
-            label: Entry(cell.source, task.tracker(cell), task.tracker(cell))
+            label: GateEntry(cell.source, task.tracker(cell), task.tracker(cell))
             for label, cell in task.cells.items()
         }
 
@@ -392,7 +394,7 @@ def _is_accepted(task: _Task) -> bool:
 def _bisect(task: _Task, interval: str) -> int:
     """Name the first commit of GOOD..BAD whose tracker fails against GOOD's."""
     from pmbm.errors import InputError
-    from pmbm.regression import Entry, Verdict
+    from pmbm.regression import GateEntry, Verdict
     from pmbm.regression.gitref import (
         GitTracker,
         check_ref,
@@ -417,7 +419,7 @@ def _bisect(task: _Task, interval: str) -> int:
             entries = {}
             for label, cell in task.cells.items():
                 name, parameters = task.tracker(cell).factory, task.tracker(cell).parameters
-                entries[label] = Entry(
+                entries[label] = GateEntry(
                     cell.source,
                     GitTracker(old, name, parameters),
                     GitTracker(new, name, parameters),

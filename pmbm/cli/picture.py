@@ -10,7 +10,7 @@ import click
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from pmbm.reports.values import Replay
+    from pmbm.reports.values import ReplayPage
 
 KINDS = ("scene", "hidden", "errors")
 
@@ -82,7 +82,7 @@ def command(
     click.echo(f"{out}")
 
 
-def _figure(kind: str, replay: Replay, frame: int | None, *, dark: bool) -> Figure:
+def _figure(kind: str, replay: ReplayPage, frame: int | None, *, dark: bool) -> Figure:
     from pmbm.reports.figures import error_picture, hidden_traffic_picture, scene_picture
 
     recording, tracks = replay.recording, replay.tracks

@@ -22,7 +22,7 @@ from pmbm.datasets.frames import (
     truth_frames,
 )
 from pmbm.datasets.kitti_files import (
-    Calibration,
+    CameraCalibration,
     KittiObjects,
     format_objects,
     image_boxes,
@@ -330,7 +330,7 @@ class Kitti:
             image_only=flat,
         )
 
-    def _places(self, sequence: str) -> tuple[Calibration, tuple[Pose, ...] | None]:
+    def _places(self, sequence: str) -> tuple[CameraCalibration, tuple[Pose, ...] | None]:
         calibration = read_calibration(self.root / "calib" / f"{_checked(sequence)}.txt")
         if self.poses is None:
             return calibration, None
@@ -403,7 +403,7 @@ def _excused(results: KittiObjects, labels: KittiObjects) -> BoolArray:
     return small | inside
 
 
-def _with_image_boxes(objects: KittiObjects, calibration: Calibration) -> KittiObjects:
+def _with_image_boxes(objects: KittiObjects, calibration: CameraCalibration) -> KittiObjects:
     """An image box for each object that has none, but a filler (-1 -1 -1 -1, 0 0 0 0): that of the
     part of its 3D box which the image shows; where it shows none, 0 0 0 0, as high as nothing."""
     rows = np.flatnonzero(objects.solid & ~objects.in_image)
@@ -468,7 +468,9 @@ def _merged(parts: Sequence[Sequence[SourceBoxes]], frames: int) -> list[SourceB
     return [merge([part[k] for part in parts]) for k in range(frames)]
 
 
-def _submission(frame: int, tracks: Tracks, pose: Pose, calibration: Calibration) -> KittiObjects:
+def _submission(
+    frame: int, tracks: Tracks, pose: Pose, calibration: CameraCalibration
+) -> KittiObjects:
     centre = pose.to_sensor(tracks.position)
     yaw = pose.yaw_to_sensor(tracks.yaw)
     boxes = list(image_boxes(to_camera(box_corners(centre, tracks.size, yaw)), calibration))

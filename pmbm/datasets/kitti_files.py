@@ -125,7 +125,7 @@ class KittiObjects:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Calibration:
+class CameraCalibration:
     """projection (3,4) : pixels of camera 2 from rectified camera-0 points.
     camera_from_imu (3,4), or None where the file has no such chain.
     image_size : width, height, pixels."""
@@ -231,7 +231,7 @@ def format_objects(objects: KittiObjects) -> str:
     return "".join(lines)
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_calibration(path: Path) -> CameraCalibration:
     """P2 and the chain of frames; keys with or without their colon, by either of their names."""
     matrices: dict[str, tuple[Place, list[float]]] = {}
     for place, tokens in text_rows(path, None):
@@ -270,12 +270,12 @@ def read_calibration(path: Path) -> Calibration:
     if all(part is not None for part in parts):
         chain = np.linalg.multi_dot([_square(part) for part in parts if part is not None])[:3]
     nearest = min(_IMAGE_SIZES, key=lambda known: abs(known - focal))
-    return Calibration(
+    return CameraCalibration(
         projection=projection, camera_from_imu=chain, image_size=_IMAGE_SIZES[nearest]
     )
 
 
-def read_poses(path: Path, calibration: Calibration) -> tuple[Pose, ...]:
+def read_poses(path: Path, calibration: CameraCalibration) -> tuple[Pose, ...]:
     """The pose of the sensor (camera 0 with x forward, y left, z up) in the world for every frame,
     from a file with a line per frame: 12 numbers, the camera in the frame of the first camera; or
     the 30 of the dataset's GPS and inertial unit, from which the world is east, north, up of the
@@ -305,7 +305,7 @@ def _camera_poses(rows: Sequence[tuple[Place, list[float]]]) -> tuple[Pose, ...]
 
 
 def _imu_poses(
-    rows: Sequence[tuple[Place, list[float]]], calibration: Calibration, path: Path
+    rows: Sequence[tuple[Place, list[float]]], calibration: CameraCalibration, path: Path
 ) -> tuple[Pose, ...]:
     """Mercator metres at the first frame's latitude; R = Rz(yaw) Ry(pitch) Rx(roll)."""
     if calibration.camera_from_imu is None:
@@ -343,7 +343,7 @@ def _square(matrix: FloatArray) -> FloatArray:
     return square
 
 
-def image_boxes(corners: FloatArray, calibration: Calibration) -> Iterator[FloatArray | None]:
+def image_boxes(corners: FloatArray, calibration: CameraCalibration) -> Iterator[FloatArray | None]:
     """The image rectangle (left, top, right, bottom) around each box's visible part, cut at the
     image's sides; None where no part is in the image.
 

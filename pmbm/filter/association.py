@@ -16,7 +16,7 @@ from pmbm.filter.density import Density, Globals
 from pmbm.filter.hypotheses.branching import branch
 from pmbm.filter.hypotheses.gating import (
     FirstDetectionDensity,
-    Pairs,
+    GatedPairs,
     first_detections,
     gated_pairs,
 )
@@ -50,7 +50,7 @@ class Association:
 
     hypotheses: Globals
     dropped: int
-    known: Pairs
+    known: GatedPairs
     undetected: FirstDetectionDensity
     log_missed: FloatArray
     existence_if_missed: FloatArray

@@ -39,6 +39,10 @@ class RecycledFrom:
     share: FloatArray
     recycled: FloatArray
 
+    def columns(self) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+        """The fields, as the kernels take them."""
+        return self.track, self.share, self.recycled
+
     def take(self, rows: Index) -> RecycledFrom:
         return RecycledFrom(self.track[rows], self.share[rows], self.recycled[rows])
 

@@ -11,11 +11,12 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pmbm.filter.density import Density, Index, Locals, summed
+from pmbm.filter.density import Density, Index, probability_of_members, summed
+from pmbm.filter.models.view import View
 from pmbm.kernels import twin
 from pmbm.types import FloatArray
 
-_ALIKE = 1e-9
+ALIKE = 1e-9
 """Relative difference of masses below which rounding must not choose between them."""
 _WHOLE = 1.5
 """A box this many times as large as another at its place is the whole of which that is a part."""
@@ -36,13 +37,57 @@ class Marginals:
         return np.minimum(self.of_class @ object_share, self.existence)
 
 
+def in_view(density: Density, view: View) -> tuple[Marginals, FloatArray]:
+    """The marginals of a density, and the probability (T,) that each track's likeliest state lies
+    in the view."""
+    local, table = density.local, density.hypotheses
+    existence, of_class, best, inside = _marginals(
+        table.columns(),
+        local.track,
+        local.existence,
+        local.marks.source,
+        local.mean,
+        local.cov,
+        len(density.track_id),
+        view.pose,
+        view.centre,
+        view.half_angle,
+        view.max_range,
+        ALIKE,
+    )
+    return Marginals(existence, of_class, best), inside
+
+
+@twin("marginals")
+def _marginals(
+    table: tuple[Index, FloatArray, Index, Index],
+    track: Index,
+    existence: FloatArray,
+    source: FloatArray,
+    mean: FloatArray,
+    cov: FloatArray,
+    tracks: int,
+    pose: FloatArray,
+    centre: float,
+    half_angle: float,
+    max_range: float,
+    alike: float,
+) -> tuple[FloatArray, FloatArray, Index, FloatArray]:
+    mass = probability_of_members(*table, len(track)) * existence
+    best = _likeliest(track, mass, tracks, alike)
+    inside = View(pose, centre, half_angle, max_range).share_inside(mean[best], cov[best])
+    exists = summed(mass, track, tracks).clip(max=1.0)
+    return exists, _by_class(track, source, mass, tracks), best, inside
+
+
 def marginals(density: Density) -> Marginals:
     """Existence of every track summed over the global hypotheses, and its likeliest state."""
     local, tracks = density.local, len(density.track_id)
     mass = density.hypothesis_probability() * local.existence
     existence = summed(mass, local.track, tracks)
-    best = _likeliest(local.track, mass, tracks, _ALIKE)
-    return Marginals(existence.clip(max=1.0), _by_class(local, mass, tracks), best)
+    best = _likeliest(local.track, mass, tracks, ALIKE)
+    of_class = _by_class(local.track, local.marks.source, mass, tracks)
+    return Marginals(existence.clip(max=1.0), of_class, best)
 
 
 @twin("likeliest")
@@ -58,10 +103,9 @@ def _likeliest(track: Index, mass: FloatArray, tracks: int, alike: float) -> Ind
     return order[near[np.searchsorted(near, first)]]
 
 
-def _by_class(local: Locals, mass: FloatArray, tracks: int) -> FloatArray:
-    source = local.marks.source
+def _by_class(track: Index, source: FloatArray, mass: FloatArray, tracks: int) -> FloatArray:
     classes = source.shape[1]
-    cell = local.track[:, None] * classes + np.arange(classes)
+    cell = track[:, None] * classes + np.arange(classes)
     of_class = summed((mass[:, None] * source).ravel(), cell.ravel(), tracks * classes)
     return of_class.reshape(tracks, classes)
 

@@ -9,7 +9,6 @@ from pmbm.filter.hypotheses.weights import log_of
 from pmbm.filter.models.detection import FixedDetection
 from pmbm.filter.models.protocols import Birth, Detection, Scores
 from pmbm.filter.models.scores import IgnoreScores
-from pmbm.kernels import twin
 from pmbm.types import FloatArray
 
 _DETECTION, _SCORES = FixedDetection(), IgnoreScores()
@@ -42,11 +41,9 @@ def predict(
 
     birth : says how births and survivors are one mixture; None, one after the other.
     """
-    ppp, local = density.undetected, density.local
-    moved = _moved(ppp.mean, ppp.cov, transition)
-    survivors = Mixture(ppp.log_weight + log_of(transition.survival), *moved, ppp.recycled_from)
+    local = density.local
     return Density(
-        Mixture.joined(survivors, births) if birth is None else birth.joined(survivors, births),
+        predict_undetected(density.undetected, transition, births, birth),
         Locals(
             local.track,
             local.existence * transition.survival,
@@ -54,7 +51,7 @@ def predict(
             local.box,
             local.label,
             local.history,
-            _marks_after(local.marks, transition),
+            predict_marks(local.marks, transition),
         ),
         density.hypotheses,
         density.track_id,
@@ -63,7 +60,17 @@ def predict(
     )
 
 
-def _marks_after(marks: Marks, transition: Transition) -> Marks:
+def predict_undetected(
+    ppp: Mixture, transition: Transition, births: Mixture, birth: Birth | None = None
+) -> Mixture:
+    """The undetected objects one interval later, with those that were born."""
+    moved = _moved(ppp.mean, ppp.cov, transition)
+    survivors = Mixture(ppp.log_weight + log_of(transition.survival), *moved, ppp.recycled_from)
+    return Mixture.joined(survivors, births) if birth is None else birth.joined(survivors, births)
+
+
+def predict_marks(marks: Marks, transition: Transition) -> Marks:
+    """What the models remember, one interval later."""
     source = transition.scores.predicted(marks.source, transition.dt)
     return transition.detection.predicted(replace(marks, source=source), transition.dt)
 
@@ -71,14 +78,8 @@ def _marks_after(marks: Marks, transition: Transition) -> Marks:
 def _moved(
     mean: FloatArray, cov: FloatArray, transition: Transition
 ) -> tuple[FloatArray, FloatArray]:
-    return _move(mean, cov, transition.F, transition.Q)
-
-
-@twin("move")
-def _move(
-    mean: FloatArray, cov: FloatArray, F: FloatArray, Q: FloatArray
-) -> tuple[FloatArray, FloatArray]:
     """F m and F P F' + Q.  F P F' of all rows is one matrix product on the flattened P."""
+    F, Q = transition.F, transition.Q
     both_sides = (F[:, None, :, None] * F[:, None, :]).reshape(STATE**2, STATE**2)
     moved = (cov.reshape(-1, STATE**2) @ both_sides.T).reshape(-1, STATE, STATE) + Q
     return mean @ F.T, 0.5 * (moved + moved.transpose(0, 2, 1))

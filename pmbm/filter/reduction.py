@@ -27,10 +27,10 @@ from pmbm.filter.models.protocols import Birth
 from pmbm.kernels import twin
 from pmbm.types import FloatArray
 
-_FEW = 20
-_ALIKE = 1.0
+FEW = 20
+ALIKE = 1.0
 """Largest difference of log position areas (of log sds, summed) between components that merge."""
-_AS_HEAVY = 1e-6
+AS_HEAVY = 1e-6
 """Difference of log weights of components that are as heavy as each other."""
 
 
@@ -73,7 +73,7 @@ def reduce(
     ppp = Mixture.joined(density.undetected, returned) if len(returned) else density.undetected
     kept = ppp.take(np.flatnonzero(ppp.log_weight > log_of(prune)))
     joined, settled = kept, density.undetected_settled
-    if len(kept) > 2 * settled + _FEW:
+    if len(kept) > 2 * settled + FEW:
         # Merging takes longer than what it saves until the mixture has grown.
         joined = merge_mixture(kept, merge_below)
         settled = len(joined)
@@ -269,7 +269,7 @@ def merge_mixture(mixture: Mixture, threshold: float) -> Mixture:
 def _groups(mixture: Mixture, threshold: float) -> Index:
     """(P,) the component, by row, that each one is merged into."""
     columns = mixture.log_weight, mixture.mean, mixture.cov
-    return _merge_groups(*columns, threshold, _ALIKE, _AS_HEAVY)
+    return _merge_groups(*columns, threshold, ALIKE, AS_HEAVY)
 
 
 @twin("merge_groups")

@@ -10,21 +10,23 @@ from typing import Any
 
 import numpy as np
 
+from pmbm import kernels
 from pmbm.errors import InputError
+from pmbm.filter import compiled
 from pmbm.filter.association import associate
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
-from pmbm.filter.estimation import marginals, suppress_overlaps
+from pmbm.filter.estimation import in_view, suppress_overlaps
 from pmbm.filter.explain.inspection import Inspection, inspect
+from pmbm.filter.frame import Frame, form_frame, undetected_in
 from pmbm.filter.identity.inheritance import IdInheritance
 from pmbm.filter.models.birth_map import BirthMap
 from pmbm.filter.models.occlusion import Shadows
 from pmbm.filter.models.protocols import SceneDensity
 from pmbm.filter.models.sensor import ObservationModel
 from pmbm.filter.models.view import View
-from pmbm.filter.prediction import Transition, predict
+from pmbm.filter.prediction import predict
 from pmbm.filter.reduction import ReductionStats, reduce
-from pmbm.filter.scan import Scan
 from pmbm.filter.update import update
 from pmbm.types import Detections, Site, Tracks, unchecked
 
@@ -62,34 +64,15 @@ class State:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Frame:
-    """One frame of detections, as the model sees it.
-
-    time : s.  dt : s since the frame before; 0 for the first.
-    view : where the sensor looks.  scan : what it measured.
-    transition : how objects moved and lived on since.
-    births : objects that appeared since.  births_memory : of the birth model, after them.
-    """
-
-    time: float
-    dt: float
-    view: View
-    scan: Scan
-    transition: Transition
-    births: Mixture
-    births_memory: Any
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class Trace:
     """What a step leaves to look at.
 
-    predicted : the density before the frame was taken in.  view : where the sensor looked.
+    before : the density after the frame before.  frame : as the model saw it.
     removed : by the reductions.  seconds : what each part took (never part of a result).
     """
 
-    predicted: Density
-    view: View
+    before: Density
+    frame: Frame
     removed: ReductionStats
     seconds: Mapping[str, float]
 
@@ -101,75 +84,53 @@ def step(
 
     Raises InputError where time runs backwards.
     """
+    frame = form_frame(
+        model,
+        site,
+        detections,
+        last=state.time if state.started else None,
+        births_memory=state.births,
+        scene=state.scene,
+    )
+    if kernels.native is None:
+        density, removed, seconds = advance(model, site, state.density, frame)
+    else:
+        density, removed, seconds = compiled.advance(
+            kernels.native, model, site, state.density, frame
+        )
+    after, tracks = report(model, state, frame, density)
+    return after, tracks, Trace(state.density, frame, removed, seconds)
+
+
+def advance(
+    model: PMBMConfig, site: Site, density: Density, frame: Frame
+) -> tuple[Density, ReductionStats, Mapping[str, float]]:
+    """The density after a frame, by the four boxes of Fig. 2; what the reductions removed; and how
+    long each box took, s."""
     clock = _Clock()
-    frame = form_frame(model, site, state, detections)
-    predicted, dropped = predicted_density(model, state.density, frame)
+    predicted, dropped = predicted_in(model, density, frame)
     clock.read("predict")
     sensor = observe(model, site, frame.view, predicted)
     association = associate(predicted, frame.scan, sensor, model.reduction)
     clock.read("associate")
-    # Of a large scene, what hides what takes memory that the rest of the step can use.
-    sensor = replace(sensor, shadows=None)
     updated = update(predicted, frame.scan, association, sensor)
     clock.read("update")
-    unlikely, gated = association.dropped, len(association.known.row)
-    # And so does what the scan said.
-    del association
-    density, removed = reduce(updated, model.reduction, model.birth)
-    del updated
+    reduced, removed = reduce(updated, model.reduction, model.birth)
     clock.read("reduce")
     removed = replace(
         removed,
-        hypotheses_pruned=removed.hypotheses_pruned + unlikely,
+        hypotheses_pruned=removed.hypotheses_pruned + association.dropped,
         undetected_dropped=dropped,
-        pairs_gated=len(predicted.local) * len(frame.scan) - gated,
+        pairs_gated=len(predicted.local) * len(frame.scan) - len(association.known.row),
     )
-    after, tracks = report(model, state, frame, density)
-    return after, tracks, Trace(predicted, frame.view, removed, clock.seconds)
+    return reduced, removed, clock.seconds
 
 
-def form_frame(model: PMBMConfig, site: Site, state: State, detections: Detections) -> Frame:
-    """The frame of these detections, `state` being that after the frame before.
-
-    Raises InputError where time runs backwards.
-    """
-    if detections.time < state.time:
-        raise InputError(
-            "detections out of order",
-            field="time",
-            expected=f">= {state.time:g}",
-            got=detections.time,
-        )
-    dt = detections.time - state.time if state.started else 0.0
-    view = View.of(site, detections.sensor_pose)
-    scored = model.scores.read(detections, state.scene)
-    births, memory = model.birth.births(
-        site, view, dt if state.started else None, model.survival, state.births
-    )
-    F, Q = model.motion.transition(dt)
-    survival = model.survival.over(dt)
-    return Frame(
-        time=detections.time,
-        dt=dt,
-        view=view,
-        scan=Scan.of(scored, model.sensor.detection.confidence(scored.detections)),
-        transition=Transition(F, Q, survival, dt, model.sensor.detection, model.scores),
-        births=births,
-        births_memory=memory,
-    )
-
-
-def predicted_density(model: PMBMConfig, density: Density, frame: Frame) -> tuple[Density, float]:
-    """The density as the frame finds it, with undetected objects in the detail that they are kept
-    in, and the expected number of objects that this dropped."""
-    predicted = predict(density, frame.transition, frame.births, model.birth)
-    undetected, dropped = model.birth.reduced(
-        predicted.undetected,
-        frame.view,
-        model.survival,
-        frame.births_memory,
-        model.reduction.prune_undetected,
-    )
+def predicted_in(model: PMBMConfig, density: Density, frame: Frame) -> tuple[Density, float]:
+    """The density as the frame finds it, and the expected number of objects that fell from the map
+    of undetected ones."""
+    predicted = predict(density, frame.transition, frame.births)
+    undetected, dropped = undetected_in(model, density.undetected, frame)
     return predicted.with_undetected(undetected), dropped
 
 
@@ -185,8 +146,8 @@ def observe(model: PMBMConfig, site: Site, view: View, predicted: Density) -> Ob
 def report(model: PMBMConfig, state: State, frame: Frame, density: Density) -> tuple[State, Tracks]:
     """The state after the frame, and the tracks that probably exist and are probably in view.  One
     that has left the view is kept in mind, and reported again where it comes back."""
-    marginal, local = marginals(density), density.local
-    inside = frame.view.share_inside(local.mean, local.cov)[marginal.best]
+    marginal, inside = in_view(density, frame.view)
+    local = density.local
     scene = model.scores.observed(state.scene, marginal, inside, frame.dt)
     exists = marginal.objects(model.scores.object_share(scene))
     reported = np.flatnonzero((exists > model.report.above) & (inside > 0.5))
@@ -282,10 +243,11 @@ class PMBMTracker:
         if self.trace is None:
             raise InputError("nothing to inspect before the first step")
         trace, state, config = self.trace, self.state, self.config
+        predicted, _ = predicted_in(config, trace.before, trace.frame)
         return inspect(
             state.density,
-            trace.predicted,
-            observe(config, self.site, trace.view, trace.predicted),
+            predicted,
+            observe(config, self.site, trace.frame.view, predicted),
             self.site.occluders,
             time=state.time,
             report_above=config.report.above,

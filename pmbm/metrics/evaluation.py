@@ -11,7 +11,7 @@ from pmbm.metrics.catalogue import DEFAULT_METRICS, definition, family_of
 from pmbm.metrics.core.family import Tally, Work
 from pmbm.metrics.core.parameters import MetricParameters
 from pmbm.metrics.core.result import OBSERVABLE, Evaluation, MetricValue
-from pmbm.metrics.core.scene import Scene, scene_of
+from pmbm.metrics.core.scene import ScoredScene, scene_of
 from pmbm.types import Recording, Tracks, TrackSequence
 
 
@@ -57,7 +57,7 @@ def evaluate(
 
 
 def _values(
-    scene: Scene, names: Iterable[str], parameters: MetricParameters
+    scene: ScoredScene, names: Iterable[str], parameters: MetricParameters
 ) -> tuple[MetricValue, ...]:
     everything = Work(scene, parameters)
     tallies: dict[tuple[str, int], Tally] = {}

@@ -1,13 +1,13 @@
 // The Python module pmbm._native: the twins that pmbm/kernels.py chooses between.  Their callers,
 // pmbm/assignment and pmbm/filter, have checked what comes in.
 #include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 
 #include <cstdint>
 #include <utility>
 #include <vector>
 
 #include "k_best.hpp"
+#include "arrays.hpp"
 #include "branch.hpp"
 #include "overlaps.hpp"
 #include "gate.hpp"
@@ -16,6 +16,7 @@
 #include "reduce.hpp"
 #include "road.hpp"
 #include "sensor.hpp"
+#include "step.hpp"
 #include "tables.hpp"
 
 namespace nb = nanobind;
@@ -23,41 +24,16 @@ namespace nb = nanobind;
 namespace {
 
 template <typename T>
-using Input = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-template <typename T>
-using Output = nb::ndarray<nb::numpy, T, nb::ndim<1>>;
+using Input = pmbm::Buffer<T>;
 // Of any shape, C-ordered: read as one run of numbers.
 template <typename T>
-using Table = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
-
+using Table = pmbm::Buffer<T>;
 template <typename T>
-Output<T> hand_over(std::vector<T>&& values) {
-    auto* owned = new std::vector<T>(std::move(values));
-    nb::capsule owner(owned, [](void* pointer) noexcept {
-        delete static_cast<std::vector<T>*>(pointer);
-    });
-    return Output<T>(owned->data(), {owned->size()}, owner);
-}
-
-// The same as a table of so many columns.
-template <std::size_t columns, typename T>
-nb::ndarray<nb::numpy, T, nb::ndim<2>> rows_of(std::vector<T>&& values) {
-    auto* owned = new std::vector<T>(std::move(values));
-    nb::capsule owner(owned, [](void* pointer) noexcept {
-        delete static_cast<std::vector<T>*>(pointer);
-    });
-    return {owned->data(), {owned->size() / columns, columns}, owner};
-}
-
-// The same as square matrices.
-template <std::size_t size>
-nb::ndarray<nb::numpy, double, nb::ndim<3>> matrices_of(std::vector<double>&& values) {
-    auto* owned = new std::vector<double>(std::move(values));
-    nb::capsule owner(owned, [](void* pointer) noexcept {
-        delete static_cast<std::vector<double>*>(pointer);
-    });
-    return {owned->data(), {owned->size() / (size * size), size, size}, owner};
-}
+using Output = nb::object;
+using pmbm::array_of;
+using pmbm::hand_over;
+using pmbm::matrices_of;
+using pmbm::rows_of;
 
 // Many problems, their matrices one after the other: returns columns, costs, number of solutions.
 nb::tuple k_best(Input<double> cost, Input<std::int32_t> rows, Input<std::int32_t> widths,
@@ -332,6 +308,183 @@ Output<double> probability(Input<std::int64_t> cluster, Input<double> log_weight
     return hand_over(pmbm::probability(view(cluster, log_weight, start, member), locals));
 }
 
+pmbm::OcclusionRules occlusion_rules(const nb::tuple& constants, const Table<double>& nodes,
+                                     const Input<double>& cos, const Input<double>& sin) {
+    const auto number = [&](std::size_t i) { return nb::cast<double>(constants[i]); };
+    return {number(0), number(1), number(2), number(3), number(4), number(5), number(6), number(7),
+            nodes.data(), nodes.shape(0),
+            {cos.data(), sin.data(), static_cast<std::int64_t>(cos.size())}};
+}
+
+// A mixture's columns: log_weight, mean, cov, and those of RecycledFrom, or None for all of them.
+struct MixtureColumns {
+    Input<double> log_weight;
+    Table<double> mean, cov;
+    Input<std::int64_t> track;
+    Input<double> share, recycled;
+    bool any = false;
+
+    explicit MixtureColumns(const nb::tuple& columns)
+        : log_weight(nb::cast<Input<double>>(columns[0])),
+          mean(nb::cast<Table<double>>(columns[1])), cov(nb::cast<Table<double>>(columns[2])) {
+        if (columns[3].is_none()) return;
+        any = true;
+        track = nb::cast<Input<std::int64_t>>(columns[3]);
+        share = nb::cast<Input<double>>(columns[4]);
+        recycled = nb::cast<Input<double>>(columns[5]);
+    }
+
+    pmbm::MixtureView view() const {
+        return {log_weight.data(), mean.data(), cov.data(), any ? track.data() : nullptr,
+                any ? share.data() : nullptr, any ? recycled.data() : nullptr,
+                log_weight.size()};
+    }
+};
+
+nb::tuple hand_over(pmbm::Mixture&& mixture) {
+    const bool any = mixture.any_recycled();
+    return nb::make_tuple(
+        hand_over(std::move(mixture.log_weight)), rows_of<4>(std::move(mixture.mean)),
+        matrices_of<4>(std::move(mixture.cov)),
+        any ? nb::object(nb::make_tuple(hand_over(std::move(mixture.track)),
+                                        hand_over(std::move(mixture.share)),
+                                        hand_over(std::move(mixture.recycled))))
+            : nb::none());
+}
+
+// One step of the filter; pmbm/filter/compiled.py says what goes in and what comes out.
+nb::tuple step(nb::tuple ppp, nb::tuple local, nb::tuple table, Input<std::int64_t> track_id,
+               std::int64_t detections_seen, std::int64_t settled, nb::tuple scan,
+               nb::tuple sensor, nb::tuple rules, nb::tuple reduction, nb::tuple constants,
+               Table<double> nodes, Input<double> cos, Input<double> sin) {
+    const MixtureColumns mixture(ppp);
+    const auto track = nb::cast<Input<std::int64_t>>(local[0]);
+    const auto existence = nb::cast<Input<double>>(local[1]);
+    const auto mean = nb::cast<Table<double>>(local[2]);
+    const auto cov = nb::cast<Table<double>>(local[3]);
+    const auto box = nb::cast<Table<double>>(local[4]);
+    const auto label = nb::cast<Input<std::int8_t>>(local[5]);
+    const auto history = nb::cast<Table<std::int32_t>>(local[6]);
+    const auto source = nb::cast<Table<double>>(local[7]);
+    const auto detection = nb::cast<Input<double>>(local[8]);
+    const auto length = history.shape(1);
+
+    const auto cluster = nb::cast<Input<std::int64_t>>(table[0]);
+    const auto log_weight = nb::cast<Input<double>>(table[1]);
+    const auto start = nb::cast<Input<std::int64_t>>(table[2]);
+    const auto member = nb::cast<Input<std::int64_t>>(table[3]);
+
+    const auto position = nb::cast<Table<double>>(scan[0]);
+    const auto scan_box = nb::cast<Table<double>>(scan[1]);
+    const auto scan_label = nb::cast<Input<std::int8_t>>(scan[2]);
+    const auto evidence = nb::cast<Table<double>>(scan[3]);
+    const auto birth = nb::cast<Table<double>>(scan[4]);
+    const auto first = nb::cast<Table<double>>(scan[5]);
+
+    const auto R = nb::cast<Table<double>>(sensor[0]);
+    const bool everywhere = sensor[3].is_none();
+    Input<double> pose;
+    double looks[3] = {0, 0, 0};
+    if (!everywhere) {
+        const auto view = nb::cast<nb::tuple>(sensor[3]);
+        pose = nb::cast<Input<double>>(view[0]);
+        for (int i = 0; i < 3; ++i) looks[i] = nb::cast<double>(view[i + 1]);
+    }
+    const auto corner_start = nb::cast<Input<std::int64_t>>(sensor[6]);
+    const auto corner = nb::cast<Table<double>>(sensor[7]);
+    const pmbm::SensorRules sees{
+        R.data(), nb::cast<double>(sensor[1]), nb::cast<double>(sensor[2]), everywhere,
+        {everywhere ? nullptr : pose.data(), looks[0], looks[1], looks[2]},
+        nb::cast<bool>(sensor[4]), nb::cast<bool>(sensor[5]),
+        {corner_start.data(), corner.data(), corner_start.size() - 1},
+        nb::cast<bool>(sensor[8]), nb::cast<double>(sensor[9])};
+
+    const auto F = nb::cast<Table<double>>(rules[0]);
+    const auto Q = nb::cast<Table<double>>(rules[1]);
+    const auto whole = [&](const nb::tuple& from, int i) {
+        return nb::cast<std::int64_t>(from[i]);
+    };
+    const auto number = [&](const nb::tuple& from, int i) { return nb::cast<double>(from[i]); };
+    // max_hypotheses, largest_table, largest_search, log_prune, recycle_below, max_tracks,
+    // clustering, split_below, worth_factoring
+    const bool clustering = nb::cast<bool>(reduction[6]);
+    const double log_prune = number(reduction, 3), largest = number(reduction, 1);
+    const pmbm::StepRules how{
+        F.data(), Q.data(), number(rules, 2), number(rules, 3),
+        {whole(reduction, 0), largest, whole(reduction, 2), -log_prune, log_prune, clustering},
+        {log_prune, whole(reduction, 0), largest, number(reduction, 4), whole(reduction, 5),
+         clustering, number(reduction, 7), whole(reduction, 8)},
+        nb::cast<bool>(rules[4]), number(rules, 5), number(rules, 6), number(rules, 7),
+        number(rules, 8), number(rules, 9), whole(rules, 10), whole(rules, 11),
+        number(rules, 12)};
+    const auto occlusion = occlusion_rules(constants, nodes, cos, sin);
+
+    pmbm::Step out;
+    {
+        nb::gil_scoped_release released;
+        pmbm::Stepper stepper(
+            mixture.view(),
+            {track.data(), existence.data(), mean.data(), cov.data(), box.data(), label.data(),
+             history.data(), source.data(), detection.data(), existence.size(), length,
+             source.shape(1)},
+            {cluster.data(), start.data(), member.data(), log_weight.data(),
+             static_cast<std::int64_t>(cluster.size())},
+            track_id.data(), track_id.size(), detections_seen, settled,
+            {position.data(), scan_box.data(), scan_label.data(), evidence.data(), birth.data(),
+             first.data(), scan_label.size(), birth.ndim() == 2},
+            sees, how, occlusion);
+        out = stepper.run();
+    }
+    const auto remembered =
+        array_of(std::move(out.history), {out.existence.size(), static_cast<std::size_t>(length)});
+    return nb::make_tuple(
+        hand_over(std::move(out.undetected)),
+        nb::make_tuple(hand_over(std::move(out.track)), hand_over(std::move(out.existence)),
+                       rows_of<4>(std::move(out.mean)), matrices_of<4>(std::move(out.cov)),
+                       rows_of<5>(std::move(out.box)), hand_over(std::move(out.label)),
+                       remembered),
+        hand_over(std::move(out.hypotheses)), hand_over(std::move(out.track_id)), out.settled,
+        nb::make_tuple(out.missed, out.detected, hand_over(std::move(out.from)),
+                       hand_over(std::move(out.measurement)),
+                       hand_over(std::move(out.detection))),
+        nb::make_tuple(out.pruned + out.unlikely, out.capped, out.merged, out.recycled,
+                       out.tracks_capped, out.undetected_pruned, out.undetected_merged,
+                       out.undetected_capped),
+        out.pairs,
+        nb::make_tuple(out.seconds[0], out.seconds[1], out.seconds[2], out.seconds[3]));
+}
+
+// What a report asks of a density: existence of tracks, that of sources of each class, the rows of
+// the likeliest local hypotheses, and how probably these are in view.
+nb::tuple marginals(nb::tuple table, Input<std::int64_t> track, Input<double> existence,
+                    Table<double> source, Table<double> mean, Table<double> cov,
+                    std::int64_t tracks, Input<double> pose, double centre, double half_angle,
+                    double max_range, double alike) {
+    const auto H = existence.size(), K = source.shape(1), T = static_cast<std::size_t>(tracks);
+    const auto held = pmbm::probability(
+        view(nb::cast<Input<std::int64_t>>(table[0]), nb::cast<Input<double>>(table[1]),
+             nb::cast<Input<std::int64_t>>(table[2]), nb::cast<Input<std::int64_t>>(table[3])),
+        static_cast<std::int64_t>(H));
+    std::vector<double> mass(H), exists(T, 0.0), of_class(T * K, 0.0), at_best, inside(T);
+    for (std::size_t h = 0; h < H; ++h) {
+        mass[h] = held[h] * existence.data()[h];
+        const auto t = static_cast<std::size_t>(track.data()[h]);
+        exists[t] += mass[h];
+        for (std::size_t k = 0; k < K; ++k) {
+            of_class[K * t + k] += mass[h] * source.data()[K * h + k];
+        }
+    }
+    for (auto& r : exists) r = std::min(r, 1.0);
+    auto best = pmbm::likeliest(track.data(), mass.data(), H, T, alike);
+    for (std::size_t t = 0; t < T; ++t) {
+        const auto h = static_cast<std::size_t>(best[t]);
+        pmbm::share_inside(mean.data() + 4 * h, cov.data() + 16 * h, 1,
+                           {pose.data(), centre, half_angle, max_range}, &inside[t]);
+    }
+    return nb::make_tuple(hand_over(std::move(exists)), array_of(std::move(of_class), {T, K}),
+                          hand_over(std::move(best)), hand_over(std::move(inside)));
+}
+
 nb::tuple neighbours(Table<double> along, Table<double> aside, Input<bool> seen,
                      Input<double> half_width, Input<double> length, Input<std::int64_t> first,
                      Input<std::int64_t> searched, Input<double> offset, double reach,
@@ -356,6 +509,7 @@ nb::tuple near_pairs(Table<double> position, Input<double> heading, Input<double
 }  // namespace
 
 NB_MODULE(_native, m) {
+    nb::class_<pmbm::Owned>(m, "Owned", nb::type_slots(pmbm::owned_slots));
     m.doc() = "What is compiled; chosen by pmbm.kernels.";
     m.def("k_best", &k_best, nb::arg("cost"), nb::arg("rows"), nb::arg("widths"), nb::arg("ks"));
     m.def("k_best_choices", &k_best_choices, nb::arg("row"), nb::arg("column"), nb::arg("cost"),
@@ -379,6 +533,8 @@ NB_MODULE(_native, m) {
     m.def("box_rays", &box_rays);
     m.def("likeliest", &likeliest);
     m.def("probability", &probability);
+    m.def("step", &step);
+    m.def("marginals", &marginals);
     m.def("neighbours", &neighbours);
     m.def("near_pairs", &near_pairs);
 }

@@ -1,6 +1,6 @@
 """Did the tracker get worse? Paired trials, an honest verdict, and what to do about it."""
 
-from pmbm.regression.gate import Entry, GateReport, SceneReport, run_gate
+from pmbm.regression.gate import GateEntry, GateReport, SceneReport, run_gate
 from pmbm.regression.metric import GatedMetric, gated_metric
 from pmbm.regression.plan import Pilot, least_trials, run_pilot, trials_with_spread
 from pmbm.regression.stored import StoredBaseline, load_baseline
@@ -8,7 +8,7 @@ from pmbm.regression.verdicts import Decision, Pairs, Rules, Verdict, judge
 
 __all__ = [
     "Decision",
-    "Entry",
+    "GateEntry",
     "GateReport",
     "GatedMetric",
     "Pairs",

@@ -35,7 +35,7 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class Entry:
+class GateEntry:
     """One scenario of a gate: a source, and the two trackers to compare on it.
 
     baseline : a tracker to run beside the candidate, or stored values.
@@ -102,7 +102,7 @@ class _Pair:
 
 
 def run_gate(
-    entries: Mapping[str, Entry],
+    entries: Mapping[str, GateEntry],
     metric: GatedMetric,
     rules: Rules,
     *,
@@ -146,7 +146,9 @@ def run_gate(
     return GateReport(metric, rules, seed, scenes)
 
 
-def paired_values(name: str, entry: Entry, metric: GatedMetric, *, seed: int, trials: int) -> Pairs:
+def paired_values(
+    name: str, entry: GateEntry, metric: GatedMetric, *, seed: int, trials: int
+) -> Pairs:
     """The values of both trackers in the first trials of a scenario, no verdict asked.
 
     Raises as `run_gate` does, and InputError where the candidate raises.
@@ -164,7 +166,7 @@ def paired_values(name: str, entry: Entry, metric: GatedMetric, *, seed: int, tr
 class _Run:
     """The trials of one scenario as they come in."""
 
-    def __init__(self, name: str, entry: Entry) -> None:
+    def __init__(self, name: str, entry: GateEntry) -> None:
         self.name = name
         self.entry = entry
         self.baseline: list[float] = []
@@ -263,7 +265,7 @@ class _Ahead:
             yield name, self._waiting.pop((name, trial)).result()
 
 
-def _run_pair(entry: Entry, seed: int, trial: int, metric: GatedMetric) -> _Pair:
+def _run_pair(entry: GateEntry, seed: int, trial: int, metric: GatedMetric) -> _Pair:
     recording = entry.source.record(seed, trial)
     digest = recording.digest()
     own = tracker_seed(seed, trial)

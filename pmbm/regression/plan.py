@@ -7,7 +7,7 @@ from time import perf_counter
 
 import numpy as np
 
-from pmbm.regression.gate import Entry, paired_values
+from pmbm.regression.gate import GateEntry, paired_values
 from pmbm.regression.metric import GatedMetric
 from pmbm.regression.sequence import evidence, fewest_trials, trials_without_change
 from pmbm.regression.verdicts import Pairs, Rules
@@ -33,7 +33,7 @@ class Pilot:
         return float(self.pairs.loss.std(ddof=1)) if len(self.pairs.loss) > 1 else 0.0
 
 
-def run_pilot(name: str, entry: Entry, metric: GatedMetric, *, seed: int, trials: int) -> Pilot:
+def run_pilot(name: str, entry: GateEntry, metric: GatedMetric, *, seed: int, trials: int) -> Pilot:
     """The first trials of a scenario, timed; as many as are stored where those are fewer.
 
     Raises InputError where the candidate or the baseline raises.

@@ -39,7 +39,7 @@ class LatinHypercube(_Form):
     ranges: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]]
 
 
-class Sweep(_Form):
+class StudySweep(_Form):
     """What varies: keys of the scenarios ("detector.clutter_rate", "level") and parameters of
     trackers ("tracker.NAME.KEY").  Every grid point meets every point of the hypercube."""
 
@@ -77,7 +77,7 @@ class StudyForm(_Form):
     seed: Annotated[int, Field(ge=0)] = 0
     metrics: Annotated[list[str], Field(min_length=1)] | None = None
     tracker: dict[str, TrackerForm] = {}
-    sweep: Sweep = Sweep()
+    sweep: StudySweep = StudySweep()
     limits: Limits = Limits()
     gate: GateForm | None = None
 
@@ -129,7 +129,7 @@ def _study(form: StudyForm, file: Path, resolve: Resolve) -> Study:
     )
 
 
-def _design(sweep: Sweep) -> list[Point]:
+def _design(sweep: StudySweep) -> list[Point]:
     points = grid(sweep.grid)
     cube = sweep.latin_hypercube
     if cube is None:
@@ -218,7 +218,7 @@ def _valid_keys(path: tuple[int | str, ...]) -> list[str]:
     """The keys that the table at this place may have."""
     tables: Mapping[str, type[_Form]] = {
         "tracker": TrackerForm,
-        "sweep": Sweep,
+        "sweep": StudySweep,
         "limits": Limits,
         "gate": GateForm,
         "latin_hypercube": LatinHypercube,

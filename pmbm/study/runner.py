@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pmbm.study.parallel import process_pool
-from pmbm.study.store import Row, Store, open_store
+from pmbm.study.store import Store, StoreRow, open_store
 from pmbm.study.study import Study
 from pmbm.study.worker import Task, compute, failed, prepare
 
@@ -122,7 +122,7 @@ class _Driver:
         """Run trials in a pool until done or until it breaks; gives back what is left."""
         waiting = iter(indices)
         with _executor(self.study, jobs, scheduler) as (pool, width):
-            flight: dict[Future[Row], int] = {}
+            flight: dict[Future[StoreRow], int] = {}
             since: dict[int, float] = {}
 
             lost: list[int] = []
@@ -159,13 +159,13 @@ class _Driver:
             self._alone(index)
         return list(waiting)
 
-    def _landed(self, future: Future[Row]) -> bool:
+    def _landed(self, future: Future[StoreRow]) -> bool:
         row = _row(future) if future.done() else None
         if row is not None:
             self._keep(row)
         return row is not None
 
-    def _overdue(self, since: dict[int, float], flight: dict[Future[Row], int]) -> bool:
+    def _overdue(self, since: dict[int, float], flight: dict[Future[StoreRow], int]) -> bool:
         """Whether a trial hangs where no alarm reaches it; one may wait for another first."""
         limit = self.study.time_limit
         if limit is None:
@@ -195,14 +195,14 @@ class _Driver:
             deaths = self.store.died(index)
         self._keep(failed(index, "died", f"its process died {_DEATHS} times, alone"))
 
-    def _keep(self, row: Row, following: Iterable[int] = ()) -> None:
+    def _keep(self, row: StoreRow, following: Iterable[int] = ()) -> None:
         self.store.finish(row, following)
         p = self.progress
         self.progress = Progress(p.total, p.done + 1, p.failed + (row.outcome != "ok"), p.damaged)
         self.tell(self.progress)
 
 
-def _row(future: Future[Row]) -> Row | None:
+def _row(future: Future[StoreRow]) -> StoreRow | None:
     """The row of a future; None where its worker, and not the trial, failed."""
     try:
         return future.result()

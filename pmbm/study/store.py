@@ -40,7 +40,7 @@ _CHECKPOINT_EVERY = 8
 
 
 @dataclass(frozen=True)
-class Row:
+class StoreRow:
     """What is kept of one trial.
 
     outcome : "ok"; or how it failed: "raised", "timeout", "memory" or "died".
@@ -72,7 +72,7 @@ class Contents:
     hash: str
     document: Mapping[str, Any]
     about: Mapping[str, Any]
-    rows: Mapping[int, Row]
+    rows: Mapping[int, StoreRow]
     damaged: tuple[int, ...]
 
     def digest(self) -> str:
@@ -120,7 +120,7 @@ class Store:
         with self._transaction():
             self._note(indices)
 
-    def finish(self, row: Row, start: Iterable[int] = ()) -> None:
+    def finish(self, row: StoreRow, start: Iterable[int] = ()) -> None:
         """Keep a result, and note which trials are in flight in its place."""
         with self._transaction():
             self._run(
@@ -330,7 +330,7 @@ def _contents(connection: sqlite3.Connection, file: Path) -> Contents:
     rows, damaged = {}, []
     for *values, row_hash in execute(connection, "SELECT * FROM trial ORDER BY id"):
         try:
-            row = Row(int(values[0]), *map(_text, values[1:]))
+            row = StoreRow(int(values[0]), *map(_text, values[1:]))
             whole = row.hash(known_hash) == row_hash
         except (TypeError, ValueError):
             whole = False

@@ -16,7 +16,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from pmbm.study.configured import ConfiguredTracker
-from pmbm.study.store import Row
+from pmbm.study.store import StoreRow
 from pmbm.study.study import Study, canonical
 from pmbm.study.trial import Source, run_trial
 
@@ -53,7 +53,7 @@ class Task:
         )
 
 
-def compute(task: Task) -> Row:
+def compute(task: Task) -> StoreRow:
     """The row of a trial: its result, or how it failed."""
     start = time.perf_counter()
     try:
@@ -70,14 +70,14 @@ def compute(task: Task) -> Row:
         return failed(task.index, "raised", message, traceback.format_exc())
     steps = {name: [t.mean, t.median, t.p99] for name, t in found.time.items()}
     seconds = time.perf_counter() - start
-    return Row(task.index, "ok", result, canonical({"seconds": seconds, "steps": steps}))
+    return StoreRow(task.index, "ok", result, canonical({"seconds": seconds, "steps": steps}))
 
 
-def failed(index: int, outcome: str, message: str, note: str = "") -> Row:
+def failed(index: int, outcome: str, message: str, note: str = "") -> StoreRow:
     """The row of a trial that gave no result."""
     # Addresses differ from process to process, and would make equal failures look different.
     text = re.sub(r"0x[0-9a-fA-F]+", "0x...", message)[:_LONGEST_MESSAGE]
-    return Row(index, outcome, canonical({"error": text}), note=note)
+    return StoreRow(index, outcome, canonical({"error": text}), note=note)
 
 
 def prepare(driver: int, memory_limit: float | None) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
-from pmbm.sim.streams import Members
+from pmbm.sim.streams import StreamMembers
 from pmbm.sim.world.scene import Scene
 from pmbm.types import FloatArray, IntArray, Site
 
@@ -85,9 +85,9 @@ class Targets(_Table):
     visibility: FloatArray
 
     @property
-    def members(self) -> Members:
+    def members(self) -> StreamMembers:
         """Which rows belong to which object."""
-        return Members(self.frame, self.object_id)
+        return StreamMembers(self.frame, self.object_id)
 
 
 def targets(scene: Scene) -> Targets:

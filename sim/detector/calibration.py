@@ -12,7 +12,7 @@ from pmbm.types import CLUTTER, BoolArray, Detections, FloatArray, IntArray, Rec
 
 
 @dataclass(frozen=True, eq=False)
-class Reliability:
+class ScoreReliability:
     """The reliability curve of scores; bins without boxes are left out.
 
     score (B,) : mean score of the bin's boxes.
@@ -44,7 +44,7 @@ def first_boxes(score: FloatArray, origin: IntArray, delivery: IntArray | None =
     return first & (origin != CLUTTER)
 
 
-def reliability(recordings: Recording | Sequence[Recording], bins: int = 10) -> Reliability:
+def reliability(recordings: Recording | Sequence[Recording], bins: int = 10) -> ScoreReliability:
     """The reliability curve over all boxes of recordings whose origins are known, in `bins` of
     equal width.
 
@@ -65,7 +65,7 @@ def reliability(recordings: Recording | Sequence[Recording], bins: int = 10) -> 
 
 def reliability_of(
     deliveries: Sequence[tuple[Detections, IntArray]], bins: int = 10
-) -> Reliability:
+) -> ScoreReliability:
     """The reliability curve of deliveries with their origins."""
     score = np.concatenate([np.zeros(0), *(detections.score for detections, _ in deliveries)])
     origin = np.concatenate([np.zeros(0, np.int64), *(origin for _, origin in deliveries)])
@@ -73,11 +73,11 @@ def reliability_of(
     return _binned(score, first_boxes(score, origin, delivery), bins)
 
 
-def _binned(score: FloatArray, true: BoolArray, bins: int) -> Reliability:
+def _binned(score: FloatArray, true: BoolArray, bins: int) -> ScoreReliability:
     bin_of = np.minimum((score * bins).astype(np.int64), bins - 1)
     count = np.bincount(bin_of, minlength=bins)
     some = count > 0
-    return Reliability(
+    return ScoreReliability(
         score=np.bincount(bin_of, score, bins)[some] / count[some],
         true_share=np.bincount(bin_of, true, bins)[some] / count[some],
         count=count[some],

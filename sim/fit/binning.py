@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from pmbm.sim.fit.observations import Chances, Evidence, Hits
+from pmbm.sim.fit.observations import Detected, Observations, Opportunities
 from pmbm.types import BoolArray, FloatArray, IntArray
 
 BIN_WIDTH: Final = 10.0
@@ -18,13 +18,13 @@ FEWEST: Final = 40
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Chances of one label, and hits whose `chance` counts in them."""
+    """Opportunities of one label, and hits whose `chance` counts in them."""
 
-    chances: Chances
-    hits: Hits
+    chances: Opportunities
+    hits: Detected
 
 
-def sample(evidence: Evidence, keep: BoolArray) -> Sample:
+def sample(evidence: Observations, keep: BoolArray) -> Sample:
     """Those chances, and the hits among them."""
     number = np.cumsum(keep) - 1
     rows = keep[evidence.hits.chance]
@@ -51,7 +51,7 @@ def binned(values: FloatArray, bins: IntArray) -> FloatArray:
     return np.bincount(bins, values) / np.bincount(bins)
 
 
-def steps(chances: Chances, lag: int = 1) -> tuple[IntArray, IntArray]:
+def steps(chances: Opportunities, lag: int = 1) -> tuple[IntArray, IntArray]:
     """Rows of the same object in a frame and so many frames later."""
     whose = np.unique(
         np.stack([chances.recording, chances.object_id]), axis=1, return_inverse=True
@@ -65,7 +65,7 @@ def steps(chances: Chances, lag: int = 1) -> tuple[IntArray, IntArray]:
     return order[there], later[there]
 
 
-def lag_correlation(standard: FloatArray, chances: Chances, lag: int = 1) -> float:
+def lag_correlation(standard: FloatArray, chances: Opportunities, lag: int = 1) -> float:
     """Mean correlation of columns of standardised values with those so many frames later."""
     earlier, later = steps(chances, lag)
     if len(earlier) < FEWEST:

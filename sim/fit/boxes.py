@@ -9,7 +9,7 @@ from scipy import optimize
 
 from pmbm.sim.detector.knobs import Curve
 from pmbm.sim.fit.binning import Sample, binned, lag_correlation, pair_correlations, range_bins
-from pmbm.sim.fit.observations import Chances, Hits
+from pmbm.sim.fit.observations import Detected, Opportunities
 from pmbm.sim.fit.scores import ScoreScale, fit_scores
 from pmbm.types import FloatArray, IntArray
 
@@ -74,7 +74,7 @@ def fit_errors(sample: Sample, scale: ScoreScale) -> dict[str, Any]:
     }
 
 
-def _fit_sizes(hits: Hits, bins: IntArray, objects: int) -> tuple[dict[str, Any], FloatArray]:
+def _fit_sizes(hits: Detected, bins: IntArray, objects: int) -> tuple[dict[str, Any], FloatArray]:
     """Typical size, response and pull, and the sizes (R,3) expected under them.
 
     Least squares, in turn of the pull of each bin and of the response, which is held to the
@@ -107,7 +107,7 @@ def _fit_sizes(hits: Hits, bins: IntArray, objects: int) -> tuple[dict[str, Any]
     return knobs, typical + shares[bins, None] * (gap @ response.T)
 
 
-def _fit_anchor(hits: Hits, bins: IntArray, objects: int) -> tuple[FloatArray, FloatArray]:
+def _fit_anchor(hits: Detected, bins: IntArray, objects: int) -> tuple[FloatArray, FloatArray]:
     """How far the centre moves with the side that faces the sensor (least squares), and the errors
     of the centre (R,3) left."""
     cos, sin = np.cos(hits.true_yaw), np.sin(hits.true_yaw)
@@ -130,7 +130,7 @@ def _ratio(above: FloatArray, below: FloatArray, bins: IntArray, objects: int) -
     return np.clip(held, 0.0, 1.0)
 
 
-def _lasting_share(standard: FloatArray, chances: Chances, persistence: float) -> float:
+def _lasting_share(standard: FloatArray, chances: Opportunities, persistence: float) -> float:
     """The share of a variance that lasts: what is left of the correlation after `_LONG` frames."""
     fading = persistence**_LONG
     return float(

@@ -15,7 +15,7 @@ from pmbm.sim.detector.boxes import TYPICAL_SIZE
 from pmbm.sim.detector.clutter import ClutterModel, FalseBoxes
 from pmbm.sim.detector.knobs import Curve
 from pmbm.sim.fit.binning import BIN_WIDTH, FEWEST, binned, pair_correlations, range_bins
-from pmbm.sim.fit.observations import Evidence, Falses
+from pmbm.sim.fit.observations import FalseAlarms, Observations
 from pmbm.sim.fit.scores import ScoreScale, concentration_of
 from pmbm.types import BoolArray, FloatArray, IntArray
 
@@ -31,7 +31,7 @@ _COMPANION_REACH: Final = 3.0
 """How near a companion may be, m, or within two typical lengths."""
 
 
-def fit_clutter(evidence: Evidence, scale: ScoreScale, company: Company) -> ClutterModel:
+def fit_clutter(evidence: Observations, scale: ScoreScale, company: CoOccurrence) -> ClutterModel:
     """The false boxes that come by themselves, and what they bring."""
     falses = evidence.falses
     frames = int(evidence.frames.sum())
@@ -54,7 +54,7 @@ def fit_clutter(evidence: Evidence, scale: ScoreScale, company: Company) -> Clut
 
 
 @dataclass(frozen=True, eq=False)
-class Company:
+class CoOccurrence:
     """Boxes that come with others, beyond chance.
 
     second : for each label, the probability of a further false box of the same label near a true
@@ -88,7 +88,7 @@ class Company:
             "echo": {k: min(v * (1 + probability), 1.0) for k, v in echo.items()},
         }
 
-    def alone(self, evidence: Evidence) -> dict[int, float]:
+    def alone(self, evidence: Observations) -> dict[int, float]:
         """How many false boxes of each label come by themselves."""
         true = evidence.chances.label[evidence.hits.chance]
         count = {v: float(np.sum(evidence.falses.label == v)) for v in self.companion}
@@ -106,7 +106,7 @@ class Company:
         return count
 
 
-def fit_company(evidence: Evidence) -> Company:
+def fit_company(evidence: Observations) -> CoOccurrence:
     """How many boxes have another near, less those that would by chance: near the boxes of a frame
     of another recording."""
     hits, falses = evidence.hits, evidence.falses
@@ -140,7 +140,7 @@ def fit_company(evidence: Evidence) -> Company:
         reach = max(_COMPANION_REACH, 2.0 * _length(label))
         share, spread = excess(False, label, label, reach)
         companion[label] = (share / (2 - share), spread)
-    return Company(
+    return CoOccurrence(
         second={v: excess(True, v, v, _SECOND_REACH * _length(v)) for v in labels},
         companion=companion,
         echo_of_true={
@@ -196,7 +196,7 @@ def _nearest(boxes: _Places, others: _Places, *, among_them: bool = False) -> Fl
     return nearest
 
 
-def _false_boxes(evidence: Evidence, rows: BoolArray, scale: ScoreScale) -> Mapping[str, Any]:
+def _false_boxes(evidence: Observations, rows: BoolArray, scale: ScoreScale) -> Mapping[str, Any]:
     falses = evidence.falses
     distance, size = falses.distance[rows], falses.size[rows]
     edges = np.arange(0.0, evidence.fields_of_view[:, 1].max() + BIN_WIDTH, BIN_WIDTH)
@@ -245,7 +245,7 @@ def _headings(heading: FloatArray) -> tuple[float, float, float]:
     return float(share[0]), float(share[1]), spread
 
 
-def _fit_places(falses: Falses) -> Mapping[str, Any]:
+def _fit_places(falses: FalseAlarms) -> Mapping[str, Any]:
     """The share of false boxes that stay at a place, how often a place gives a box, and how these
     stray about it.
 

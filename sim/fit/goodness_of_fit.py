@@ -14,7 +14,7 @@ from pmbm.datasets import with_origins
 from pmbm.labels import Label
 from pmbm.sim.detector.model import DetectorModel
 from pmbm.sim.detector.replay import replay
-from pmbm.sim.fit.observations import Evidence, gather
+from pmbm.sim.fit.observations import Observations, gather
 from pmbm.types import BoolArray, FloatArray, IntArray, Recording
 
 RANGE_EDGES: Final = (0.0, 20.0, 40.0, 60.0, np.inf)
@@ -99,7 +99,7 @@ def modelled(
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FitComparison:
     """A figure of real recordings beside that of the model on the same truth.
 
     name : of the figure.
@@ -126,18 +126,18 @@ class Comparison:
         return self.interval is None or self.interval[0] <= self.difference <= self.interval[1]
 
 
-def outside(rows: Sequence[Comparison]) -> list[str]:
+def outside(rows: Sequence[FitComparison]) -> list[str]:
     """Names of the figures that leave their interval."""
     return [row.name for row in rows if not row.inside]
 
 
 def compare(
     real: Sequence[dict[str, Figure]], model: Sequence[dict[str, Figure]]
-) -> list[Comparison]:
+) -> list[FitComparison]:
     """All figures that rest on enough, pooled over recordings."""
     left, right = pooled(real), pooled(model)
     return [
-        Comparison(name, figure.value, right[name].value, figure.weight)
+        FitComparison(name, figure.value, right[name].value, figure.weight)
         for name, figure in left.items()
         if figure.weight >= _FEWEST and name in right and right[name].weight > 0
     ]
@@ -151,7 +151,7 @@ def bootstrap(
     *,
     draws: int = 4000,
     seed: int = 0,
-) -> list[Comparison]:
+) -> list[FitComparison]:
     """Figures on held-back recordings, with the interval that resampling the fitted ones gives.
 
     refitted : for each of several models, its figures on every fitted recording; each model is
@@ -182,7 +182,7 @@ def between_real(
     *,
     draws: int = 4000,
     seed: int = 0,
-) -> list[Comparison]:
+) -> list[FitComparison]:
     """What `bootstrap` says of two disjoint sets of real recordings, without any model.
 
     The figures of those held back stand for the model's, those of all fitted ones for the real;
@@ -288,7 +288,7 @@ def _cells(label: IntArray, distance: FloatArray) -> list[tuple[str, BoolArray]]
     return cells
 
 
-def _recall(evidence: Evidence, found: FloatArray) -> _Rows:
+def _recall(evidence: Observations, found: FloatArray) -> _Rows:
     chances = evidence.chances
     rows = [
         (f"recall {name}", found[inside].sum(), inside.sum())
@@ -308,7 +308,7 @@ def _recall(evidence: Evidence, found: FloatArray) -> _Rows:
     return rows
 
 
-def _noise(evidence: Evidence) -> _Rows:
+def _noise(evidence: Observations) -> _Rows:
     hits, chances = evidence.hits, evidence.chances.take(evidence.hits.chance)
     straight = np.abs(hits.yaw_error) < np.pi / 2
     size = hits.size - hits.true_size
@@ -324,7 +324,7 @@ def _noise(evidence: Evidence) -> _Rows:
     return rows
 
 
-def _clutter(evidence: Evidence) -> _Rows:
+def _clutter(evidence: Observations) -> _Rows:
     labels = np.union1d(evidence.falses.label, evidence.chances.label).tolist()
     frames = evidence.frames.sum()
     return [
@@ -333,7 +333,7 @@ def _clutter(evidence: Evidence) -> _Rows:
     ]
 
 
-def _runs(evidence: Evidence) -> _Rows:
+def _runs(evidence: Observations) -> _Rows:
     """Mean length of runs of misses: misses over runs."""
     chances = evidence.chances
     rows: _Rows = []

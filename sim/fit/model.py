@@ -18,7 +18,7 @@ from pmbm.sim.fit.binning import FEWEST, Sample, binned, range_bins, sample, ste
 from pmbm.sim.fit.boxes import fit_errors
 from pmbm.sim.fit.clutter import fit_clutter, fit_company
 from pmbm.sim.fit.goodness_of_fit import Figure, figures, modelled
-from pmbm.sim.fit.observations import Chances, gather
+from pmbm.sim.fit.observations import Opportunities, gather
 from pmbm.sim.fit.scores import ScoreScale, score_scale
 from pmbm.types import FloatArray, Recording
 
@@ -133,7 +133,7 @@ def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
     return np.stack([np.interp(x, knots, column) for column in np.eye(len(knots))], axis=1)
 
 
-def _fit_probability(chances: Chances) -> tuple[Curve, Curve]:
+def _fit_probability(chances: Opportunities) -> tuple[Curve, Curve]:
     """Detection probability in full view over range, and what multiplies its odds over visibility
     (maximum likelihood); the second is 1 in full view."""
     knots = binned(chances.distance, range_bins(chances.distance, FEWEST // 2))
@@ -169,7 +169,7 @@ def _fit_probability(chances: Chances) -> tuple[Curve, Curve]:
     )
 
 
-def _fit_bursts(chances: Chances, probability: FloatArray) -> float:
+def _fit_bursts(chances: Opportunities, probability: FloatArray) -> float:
     """Mean length of runs of misses under which pairs of frames look as they do (maximum
     composite likelihood of the latent-renewal chain)."""
     earlier, later = steps(chances)

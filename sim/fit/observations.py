@@ -18,7 +18,7 @@ from pmbm.types import BoolArray, FloatArray, IntArray, Recording
 
 
 @dataclass(frozen=True, eq=False)
-class Chances:
+class Opportunities:
     """Every chance to detect an object: R rows of truth in view, in frames that were delivered.
 
     recording (R,), object_id (R,), frame (R,) : which chance it is.
@@ -34,16 +34,16 @@ class Chances:
     visibility: FloatArray
     found: BoolArray
 
-    def take(self, rows: NDArray[Any]) -> Chances:
+    def take(self, rows: NDArray[Any]) -> Opportunities:
         """Only these rows (indices or a mask)."""
-        return Chances(*(getattr(self, f.name)[rows] for f in fields(self)))
+        return Opportunities(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class Detected:
     """Every first box of an object, R of them, beside its truth.
 
-    chance (R,) : row of `Chances`.
+    chance (R,) : row of `Opportunities`.
     place (R,2) : from the sensor, x along its yaw, m.
     error (R,3) : of the centre, along and across the line of sight and upward, m.
     size (R,3), true_size (R,3) : m.
@@ -60,9 +60,9 @@ class Hits:
     true_yaw: FloatArray
     score: FloatArray
 
-    def take(self, rows: NDArray[Any]) -> Hits:
+    def take(self, rows: NDArray[Any]) -> Detected:
         """Only these rows (indices or a mask)."""
-        return Hits(*(getattr(self, f.name)[rows] for f in fields(self)))
+        return Detected(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     @property
     def yaw_error(self) -> FloatArray:
@@ -71,7 +71,7 @@ class Hits:
 
 
 @dataclass(frozen=True, eq=False)
-class Falses:
+class FalseAlarms:
     """Every box in view that is no object's first, R of them.
 
     recording (R,), frame (R,), label (R,) : where it is from, and what it says it is.
@@ -96,22 +96,22 @@ class Falses:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
-    """Chances, hits and false boxes of some recordings.
+class Observations:
+    """Opportunities, detections and false boxes of some recordings.
 
     frames (S,) : delivered frames of each; truth_frames (S,) : frames of truth of each.
     fields_of_view (S,2) : half-angle, rad, and maximum range, m, of each.
     """
 
-    chances: Chances
-    hits: Hits
-    falses: Falses
+    chances: Opportunities
+    hits: Detected
+    falses: FalseAlarms
     frames: IntArray
     truth_frames: IntArray
     fields_of_view: FloatArray
 
 
-def gather(recordings: Sequence[Recording]) -> Evidence:
+def gather(recordings: Sequence[Recording]) -> Observations:
     """The evidence of recordings.
 
     Raises InputError for no recordings, or one without origins.
@@ -121,13 +121,13 @@ def gather(recordings: Sequence[Recording]) -> Evidence:
     parts = [_gather(number, recording) for number, recording in enumerate(recordings)]
     offset = np.cumsum([0] + [len(chances.found) for chances, _, _ in parts])
     hits = [
-        Hits(hits.chance + start, *(getattr(hits, f.name) for f in fields(hits)[1:]))
+        Detected(hits.chance + start, *(getattr(hits, f.name) for f in fields(hits)[1:]))
         for (_, hits, _), start in zip(parts, offset, strict=False)
     ]
-    return Evidence(
-        chances=_joined(Chances, [chances for chances, _, _ in parts]),
-        hits=_joined(Hits, hits),
-        falses=_joined(Falses, [falses for _, _, falses in parts]),
+    return Observations(
+        chances=_joined(Opportunities, [chances for chances, _, _ in parts]),
+        hits=_joined(Detected, hits),
+        falses=_joined(FalseAlarms, [falses for _, _, falses in parts]),
         frames=np.array([len(np.unique(recording.frame)) for recording in recordings]),
         truth_frames=np.array([len(recording) for recording in recordings]),
         fields_of_view=np.array([[r.site.fov_half_angle, r.site.max_range] for r in recordings]),
@@ -138,7 +138,7 @@ def _joined(kind: Any, tables: list[Any]) -> Any:
     return kind(*(np.concatenate([getattr(t, f.name) for t in tables]) for f in fields(kind)))
 
 
-def _gather(number: int, recording: Recording) -> tuple[Chances, Hits, Falses]:
+def _gather(number: int, recording: Recording) -> tuple[Opportunities, Detected, FalseAlarms]:
     if recording.origin is None:
         raise InputError(
             f"recording '{recording.name}' does not know where its boxes come from",
@@ -179,7 +179,7 @@ def _gather(number: int, recording: Recording) -> tuple[Chances, Hits, Falses]:
     found[chance[hit]] = True
     offset = box["position"][hit] - true.position
     cos, sin = np.cos(true.bearing), np.sin(true.bearing)
-    hits = Hits(
+    hits = Detected(
         chance=chance[hit],
         place=place[hit],
         error=np.stack(
@@ -197,7 +197,7 @@ def _gather(number: int, recording: Recording) -> tuple[Chances, Hits, Falses]:
         score=box["score"][hit],
     )
     false = ~first & in_view(scene.site, distance, relative)
-    falses = Falses(
+    falses = FalseAlarms(
         recording=np.full(np.count_nonzero(false), number),
         frame=frame[false],
         label=box["label"][false].astype(np.int64),
@@ -210,7 +210,7 @@ def _gather(number: int, recording: Recording) -> tuple[Chances, Hits, Falses]:
         yaw=wrap_angle(box["yaw"][false] - bearing[false]),
         score=box["score"][false],
     )
-    chances = Chances(
+    chances = Opportunities(
         recording=np.full(len(seen), number),
         object_id=seen.object_id,
         frame=seen.frame,

@@ -10,7 +10,7 @@ from scipy import optimize, special
 
 from pmbm.sim.detector.knobs import Curve
 from pmbm.sim.fit.binning import BIN_WIDTH, binned
-from pmbm.sim.fit.observations import Chances, Evidence
+from pmbm.sim.fit.observations import Observations, Opportunities
 from pmbm.sim.streams import normal
 from pmbm.types import FloatArray, IntArray
 
@@ -31,7 +31,7 @@ class ScoreScale:
         return np.clip(special.expit(self.temperature * (log_odds - self.offset)), 1e-6, 1 - 1e-6)
 
 
-def score_scale(evidence: Evidence) -> ScoreScale:
+def score_scale(evidence: Observations) -> ScoreScale:
     """The scale on which scores are most like Betas (maximum likelihood over moment fits)."""
     hits, falses = evidence.hits, evidence.falses
     chances = evidence.chances.take(hits.chance)
@@ -69,7 +69,11 @@ def score_scale(evidence: Evidence) -> ScoreScale:
 
 
 def fit_scores(
-    score: FloatArray, chances: Chances, bins: IntArray, at: tuple[float, ...], scale: ScoreScale
+    score: FloatArray,
+    chances: Opportunities,
+    bins: IntArray,
+    at: tuple[float, ...],
+    scale: ScoreScale,
 ) -> tuple[dict[str, Any], FloatArray]:
     """The knobs of true scores, and each box's standard normal quality under them."""
     value = scale.quality(score)

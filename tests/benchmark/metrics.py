@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from pmbm.metrics.core.clear_matching import clear_matches, gated_pairs
-from pmbm.metrics.core.scene import Boxes, Scene
+from pmbm.metrics.core.scene import BoxRows, ScoredScene
 from pmbm.metrics.families.clear import clear_counts
 from pmbm.metrics.families.identity import identity_counts
 from pmbm.metrics.families.ospa import ospa_series
@@ -28,7 +28,7 @@ def i_clear() -> tuple[float, dict[str, Any]]:
     quiet = {"PRINT_CONFIG": False}
     clear, identity = trackeval.metrics.CLEAR(quiet), trackeval.metrics.Identity(quiet)
 
-    def ours(scene: Scene) -> int:
+    def ours(scene: ScoredScene) -> int:
         counts = clear_counts(scene, clear_matches(scene, GATE))
         assert counts.truths == FRAMES * OBJECTS
         return identity_counts(scene, gated_pairs(scene, GATE)).true_positives
@@ -44,7 +44,7 @@ def i_ospa() -> tuple[float, dict[str, Any]]:
     """CPU time of OSPA over that of a loop over frames with `cdist` and `linear_sum_assignment`,
     200 frames of 60 objects; median of five seeds.  Both start from positions."""
 
-    def ours(scene: Scene) -> float:
+    def ours(scene: ScoredScene) -> float:
         return round(float(ospa_series(scene, CUTOFF, ORDER).distance.sum()), 9)
 
     def theirs(frames: list[tuple[np.ndarray, np.ndarray]]) -> float:
@@ -61,7 +61,9 @@ def i_ospa() -> tuple[float, dict[str, Any]]:
 
 
 def _ratio(
-    ours: Callable[[Scene], Any], theirs: Callable[[Any], Any], prepared: Callable[[Scene], Any]
+    ours: Callable[[ScoredScene], Any],
+    theirs: Callable[[Any], Any],
+    prepared: Callable[[ScoredScene], Any],
 ) -> tuple[float, dict[str, Any]]:
     """Median ratio of CPU times over seeds; both must give the same answer."""
     ratios, own, rival = [], [], []
@@ -88,7 +90,7 @@ def _ratio(
     }
 
 
-def random_scene(seed: int) -> Scene:
+def random_scene(seed: int) -> ScoredScene:
     """60 objects of which a tracker finds nine in ten, with six false boxes a frame, and renames
     one in a hundred."""
     rng = np.random.default_rng([seed, FRAMES, OBJECTS])
@@ -111,17 +113,17 @@ def random_scene(seed: int) -> Scene:
         fresh += false
     truth_frame = np.repeat(np.arange(FRAMES), OBJECTS)
     truth_id = np.tile(np.arange(OBJECTS), FRAMES)
-    return Scene(
+    return ScoredScene(
         time=np.arange(FRAMES) * 0.1,
         truth=_boxes(truth_frame, truth_id, np.concatenate(truth_position)),
         tracks=_boxes(np.array(track_frame), np.array(track_id), np.concatenate(track_position)),
     )
 
 
-def _boxes(frame: np.ndarray, name: np.ndarray, position: np.ndarray) -> Boxes:
+def _boxes(frame: np.ndarray, name: np.ndarray, position: np.ndarray) -> BoxRows:
     n = len(frame)
     order = np.lexsort((name, frame))
-    return Boxes(
+    return BoxRows(
         frame=frame[order].astype(np.int64),
         id=name[order].astype(np.int64),
         position=np.column_stack([position, np.zeros(n)])[order],
@@ -135,7 +137,7 @@ def _boxes(frame: np.ndarray, name: np.ndarray, position: np.ndarray) -> Boxes:
     )
 
 
-def _point_frames(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
+def _point_frames(scene: ScoredScene) -> list[tuple[np.ndarray, np.ndarray]]:
     return [
         (
             scene.truth.position[scene.truth.frame == k, :2],
@@ -145,7 +147,7 @@ def _point_frames(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
     ]
 
 
-def _trackeval_data(scene: Scene) -> dict[str, Any]:
+def _trackeval_data(scene: ScoredScene) -> dict[str, Any]:
     from pmbm.metrics.families.hota import distance_similarity
 
     similarity = distance_similarity(scene.pairs.distance_xyz, 2 * GATE)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pmbm.metrics.core.scene import Boxes, Scene
+from pmbm.metrics.core.scene import BoxRows, ScoredScene
 
 HERE = Path(__file__).parent
 
@@ -30,16 +30,16 @@ def load(path: Path) -> dict[str, Any]:
 
 def scene_of_case(
     case: dict[str, Any], label: str | None = "VEHICLE", dt: float | None = None
-) -> Scene:
+) -> ScoredScene:
     """The scene of a case, of one class or (None) of all; ids numbered in their text order."""
-    return Scene(
+    return ScoredScene(
         time=np.arange(case["frames"]) * (dt or case["dt"]),
         truth=_boxes(case["gt"], case["gt_columns"], label),
         tracks=_boxes(case["trk"], case["trk_columns"], label),
     )
 
 
-def _boxes(frames: list[Any], columns: list[str], label: str | None) -> Boxes:
+def _boxes(frames: list[Any], columns: list[str], label: str | None) -> BoxRows:
     at = {name: place for place, name in enumerate(columns)}
     number = {
         name: n for n, name in enumerate(sorted({row[at["id"]] for rows in frames for row in rows}))
@@ -61,7 +61,7 @@ def _boxes(frames: list[Any], columns: list[str], label: str | None) -> Boxes:
         )
 
     n = len(rows)
-    return Boxes(
+    return BoxRows(
         frame=np.array([k for k, _, _ in rows], np.int64),
         id=np.array([i for _, i, _ in rows], np.int64),
         position=column("x", "y", "z"),

@@ -13,7 +13,7 @@ import pytest
 
 from pmbm.metrics.benchmarks.trackeval import trackeval_counts, trackeval_scores
 from pmbm.metrics.core.clear_matching import clear_matches, gated_pairs
-from pmbm.metrics.core.scene import Boxes, Scene
+from pmbm.metrics.core.scene import BoxRows, ScoredScene
 from pmbm.metrics.families.clear import clear_counts
 from pmbm.metrics.families.hota import distance_similarity, hota_counts
 from pmbm.metrics.families.identity import identity_counts
@@ -21,7 +21,7 @@ from pmbm.metrics.families.identity import identity_counts
 EVERYDAY, MANY = range(12), range(12, 300)
 
 
-def random_scene(seed: int) -> Scene:
+def random_scene(seed: int) -> ScoredScene:
     """Objects on random walks that come and go; tracks that miss, swap, break and lie."""
     rng = np.random.default_rng([seed, 77])
     frames, objects = int(rng.integers(2, 30)), int(rng.integers(1, 9))
@@ -49,13 +49,13 @@ def random_scene(seed: int) -> Scene:
         for _ in range(rng.poisson(0.6)):
             tracks.append((k, fresh, rng.uniform(-spread, spread, 3) * [1, 1, 0.1]))
             fresh += 1
-    return Scene(time=np.arange(frames) * 0.1, truth=boxes(truth), tracks=boxes(tracks))
+    return ScoredScene(time=np.arange(frames) * 0.1, truth=boxes(truth), tracks=boxes(tracks))
 
 
-def boxes(rows: list[tuple[int, int, np.ndarray]]) -> Boxes:
+def boxes(rows: list[tuple[int, int, np.ndarray]]) -> BoxRows:
     rows = sorted(rows, key=lambda row: row[:2])
     n = len(rows)
-    return Boxes(
+    return BoxRows(
         frame=np.array([row[0] for row in rows], np.int64),
         id=np.array([row[1] for row in rows], np.int64),
         position=np.array([row[2] for row in rows]).reshape(n, 3),
@@ -69,7 +69,7 @@ def boxes(rows: list[tuple[int, int, np.ndarray]]) -> Boxes:
     )
 
 
-def trackeval_data(scene: Scene, similarity: np.ndarray) -> dict:
+def trackeval_data(scene: ScoredScene, similarity: np.ndarray) -> dict:
     """One sequence in the form TrackEval takes."""
     frames = range(len(scene))
     by_frame = [
@@ -94,7 +94,7 @@ def trackeval_data(scene: Scene, similarity: np.ndarray) -> dict:
     }
 
 
-def run_trackeval(scene: Scene, similarity: np.ndarray) -> dict:
+def run_trackeval(scene: ScoredScene, similarity: np.ndarray) -> dict:
     trackeval = pytest.importorskip("trackeval")
     data = trackeval_data(scene, similarity)
     quiet = {"PRINT_CONFIG": False}

@@ -136,9 +136,9 @@ FILTER_PLANTS = [
     ),
     _filter(
         "time stops in empty frames",
-        "tracker",
-        "    dt = detections.time - state.time if state.started else 0.0\n",
-        "    dt = detections.time - state.time if state.started and len(detections) else 0.0\n",
+        "frame",
+        "    dt = 0.0 if last is None else detections.time - last\n",
+        "    dt = 0.0 if last is None or not len(detections) else detections.time - last\n",
         by="tests/unit/test_filter_tracker.py::test_time_passes_in_frames_without_detections",
     ),
     _filter(
@@ -279,8 +279,8 @@ FILTER_PLANTS = [
     _filter(
         "position noise in place of its square",
         "models/sensor",
-        "R=self.position_sd**2 * np.eye(2)",
-        "R=self.position_sd * np.eye(2)",
+        "return self.position_sd**2 * np.eye(2)",
+        "return self.position_sd * np.eye(2)",
         by="tests/unit/test_filter_tracker.py::test_a_lone_object_is_a_kalman_filter",
     ),
     _filter(

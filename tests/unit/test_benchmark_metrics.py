@@ -22,10 +22,10 @@ from pmbm.metrics.benchmarks.trackeval import SimilarScene
 from pmbm.metrics.benchmarks.waymo import WaymoScene, waymo_overlap
 from pmbm.metrics.core.gaps import fill_gaps
 from pmbm.metrics.core.result import combine
-from pmbm.metrics.core.scene import Scene, make_scene, pair_overlap, scene_of
+from pmbm.metrics.core.scene import ScoredScene, make_scene, pair_overlap, scene_of
 
 
-def scene(truth, tracks, scores=None) -> Scene:
+def scene(truth, tracks, scores=None) -> ScoredScene:
     """A scene from points; `scores`: track id -> score."""
     recording, reports = run_of(truth, tracks)
     made = scene_of(recording, reports)
@@ -34,7 +34,7 @@ def scene(truth, tracks, scores=None) -> Scene:
     return made
 
 
-def waymo(made: Scene, level=None, zone=None) -> WaymoScene:
+def waymo(made: ScoredScene, level=None, zone=None) -> WaymoScene:
     return WaymoScene(
         scene=made,
         overlap=waymo_overlap(made),
@@ -43,7 +43,7 @@ def waymo(made: Scene, level=None, zone=None) -> WaymoScene:
     )
 
 
-def kitti(made: Scene, ignored_truth=(), ignored_tracks=()) -> KittiScene:
+def kitti(made: ScoredScene, ignored_truth=(), ignored_tracks=()) -> KittiScene:
     """Rows of truth and tracks that are ignored, by number."""
     one = KittiScene.plain(made, pair_overlap(made))
     one.ignored_truth[list(ignored_truth)] = True
@@ -51,7 +51,7 @@ def kitti(made: Scene, ignored_truth=(), ignored_tracks=()) -> KittiScene:
     return one
 
 
-def alike(made: Scene) -> SimilarScene:
+def alike(made: ScoredScene) -> SimilarScene:
     return SimilarScene(scene=made, similarity=pair_overlap(made))
 
 

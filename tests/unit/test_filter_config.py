@@ -375,7 +375,7 @@ def test_a_step_is_a_pure_function(name):
         assert list(leaves(detections)) == seen
         assert list(leaves(after)) == list(leaves(again))
         assert list(leaves(tracks)) == list(leaves(told))
-        assert list(leaves(trace.predicted)) == list(leaves(looked.predicted))
+        assert list(leaves(trace.before)) == list(leaves(looked.before))
         assert trace.removed == looked.removed
         state = after
     assert len(tracks) > 0

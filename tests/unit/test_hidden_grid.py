@@ -21,7 +21,7 @@ from pmbm.reports.hidden_grid import (
     coded,
     hidden_grid,
 )
-from pmbm.reports.values import Replay
+from pmbm.reports.values import ReplayPage
 from pmbm.types import GaussianMixture, TrackSequence
 
 
@@ -85,7 +85,7 @@ def test_codes_are_within_half_a_step():
 
 def test_the_page_has_the_grid_around_the_sensor():
     scene = recording(frames=12)
-    data = encode_replay(Replay(recording=scene, tracks={"a": tracks(scene, undetected=True)}))
+    data = encode_replay(ReplayPage(recording=scene, tracks={"a": tracks(scene, undetected=True)}))
     told = data["trackers"][0]["undetected"]
     raw = np.frombuffer(zlib.decompress(base64.b64decode(data["blob"])), np.uint8)
     n, steps = told["side"], told["rows"]
@@ -110,10 +110,10 @@ def test_the_page_has_the_grid_around_the_sensor():
 def test_the_layer_of_another_run_takes_the_place_of_its_own():
     scene = recording(frames=6)
     plain, mapped = tracks(scene), tracks(scene, undetected=True)
-    data = encode_replay(Replay(recording=scene, tracks={"a": plain}, maps={"a": mapped}))
+    data = encode_replay(ReplayPage(recording=scene, tracks={"a": plain}, maps={"a": mapped}))
     assert data["trackers"][0]["undetected"]["rows"] == 6
     assert (
-        encode_replay(Replay(recording=scene, tracks={"a": plain}))["trackers"][0]["undetected"]
+        encode_replay(ReplayPage(recording=scene, tracks={"a": plain}))["trackers"][0]["undetected"]
         is None
     )
 
@@ -128,6 +128,6 @@ def test_the_layer_is_bounded_however_many_components_and_steps():
     sequence = TrackSequence(steps=steps, frame=range(300))
     grid = hidden_grid(scene, sequence, np.zeros(2))
     assert grid.code.size <= MOST_CELLS
-    bare = len(json.dumps(encode_replay(Replay(recording=scene, tracks={"a": tracks(scene)}))))
-    full = len(json.dumps(encode_replay(Replay(recording=scene, tracks={"a": sequence}))))
+    bare = len(json.dumps(encode_replay(ReplayPage(recording=scene, tracks={"a": tracks(scene)}))))
+    full = len(json.dumps(encode_replay(ReplayPage(recording=scene, tracks={"a": sequence}))))
     assert full - bare < 100_000

@@ -13,7 +13,7 @@ from pmbm.cli.falsify import _badness
 from pmbm.cli.run import command as run_command
 from pmbm.cli.track import tracked
 from pmbm.cli.tuning import Simulated
-from pmbm.regression import Entry, Rules, gated_metric, run_gate
+from pmbm.regression import GateEntry, Rules, gated_metric, run_gate
 from pmbm.reports.replays import trial_replay
 from pmbm.seeding import seeded, tracker_seed
 from pmbm.sim import Scenario
@@ -143,7 +143,7 @@ def test_a_replay_and_a_search_score_as_a_study_does():
 
 def test_a_gate_draws_alike_on_both_sides():
     rules = Rules(margin=0.5, max_trials=5)
-    entries = {"brief": Entry(WORLD, "noisy_trackers:Noisy", Noisy)}
+    entries = {"brief": GateEntry(WORLD, "noisy_trackers:Noisy", Noisy)}
     (first,), (again,) = (
         run_gate(entries, gated_metric("ospa"), rules, jobs=jobs).scenes for jobs in (1, 2)
     )

@@ -10,7 +10,7 @@ from traffic import hidden_mixture, recording, tracks
 
 from pmbm.metrics import evaluate
 from pmbm.reports.render import run_page
-from pmbm.reports.values import Replay, Section
+from pmbm.reports.values import ReplayPage, Section
 from pmbm.study import TrialResult, summarise
 from pmbm.types import Site
 
@@ -33,7 +33,7 @@ def page(scene, by_tracker, name="hand-made", **changes):
         name=name,
         stresses="A hidden car.",
         summary=summarise(results),
-        replay=Replay(recording=scene, tracks=by_tracker, series=series, **changes),
+        replay=ReplayPage(recording=scene, tracks=by_tracker, series=series, **changes),
         provenance=scene.provenance,
     )
     return run_page([section], title=f"Report on {name}", command=f"pmbm run {name}")
@@ -469,7 +469,7 @@ def test_a_study_page_shows_its_curves_and_worst_trials(browser, tmp_path):
     from pmbm.reports.values import WorstTrial
 
     scene = recording(frames=6)
-    replay = Replay(recording=scene, tracks={"a": tracks(scene)}, start=4)
+    replay = ReplayPage(recording=scene, tracks={"a": tracks(scene)}, start=4)
     night = study(
         *(cell(0.5 * k, point={"rate": k}) for k in (1, 2)),
         worst=[WorstTrial(why="crossing, trial 3", command="pmbm study", replay=replay)],

@@ -13,7 +13,7 @@ from pmbm.errors import InputError
 from pmbm.metrics import evaluate
 from pmbm.reports.encode import encode_replay
 from pmbm.reports.matching import identity_switches, matched
-from pmbm.reports.values import Replay
+from pmbm.reports.values import ReplayPage
 from pmbm.types import (
     CLUTTER,
     Detections,
@@ -37,7 +37,7 @@ def unpack(data, table):
 
 
 def encoded(scene, by_tracker, **changes):
-    return encode_replay(Replay(recording=scene, tracks=by_tracker, **changes))
+    return encode_replay(ReplayPage(recording=scene, tracks=by_tracker, **changes))
 
 
 def test_truth_comes_back():
@@ -261,14 +261,16 @@ def test_matching_by_hand():
 def test_series_are_for_each_step():
     scene = recording(frames=4)
     with pytest.raises(InputError, match="one value per step"):
-        Replay(recording=scene, tracks={"a": tracks(scene)}, series={"a": {"gospa": np.zeros(3)}})
+        ReplayPage(
+            recording=scene, tracks={"a": tracks(scene)}, series={"a": {"gospa": np.zeros(3)}}
+        )
     with pytest.raises(InputError, match="one value per step"):
-        Replay(recording=scene, tracks={}, series={"b": {"gospa": np.zeros(4)}})
+        ReplayPage(recording=scene, tracks={}, series={"b": {"gospa": np.zeros(4)}})
 
 
 def test_nothing_is_no_replay():
     with pytest.raises(InputError, match="no frames"):
-        Replay(
+        ReplayPage(
             recording=Recording(name="n", truth=(), detections=(), frame=[], stamp=[]), tracks={}
         )
 

@@ -11,7 +11,7 @@ from pmbm.intervals import COUNT, SHARE
 from pmbm.reports.page import script_json
 from pmbm.reports.render import run_page
 from pmbm.reports.tables import judge, markdown_table, metric_row, shown_metric, words
-from pmbm.reports.values import Replay, Section
+from pmbm.reports.values import ReplayPage, Section
 from pmbm.study import TrialResult, estimate, summarise
 
 HOSTILE = "</script><img src=x onerror=alert(1)>&\u2028'\""
@@ -116,7 +116,7 @@ def test_a_hostile_page_has_no_foreign_elements_and_loads_nothing():
         name=HOSTILE,
         stresses=HOSTILE,
         summary=summary(**{HOSTILE: [1.0, 2.0], "b": [2.0, 3.0]}),
-        replay=Replay(recording=scene, tracks={HOSTILE: tracks(scene)}, title=HOSTILE),
+        replay=ReplayPage(recording=scene, tracks={HOSTILE: tracks(scene)}, title=HOSTILE),
         provenance={HOSTILE: {HOSTILE: HOSTILE}},
     )
     page = run_page([section, section], title=HOSTILE, command=HOSTILE)
@@ -143,7 +143,7 @@ def test_the_same_results_make_the_same_page():
         name="s",
         stresses="x",
         summary=summary(a=[1.0, 2.0]),
-        replay=Replay(recording=scene, tracks={"a": tracks(scene)}),
+        replay=ReplayPage(recording=scene, tracks={"a": tracks(scene)}),
     )
     assert run_page([section], title="t", command="c") == run_page(
         [section], title="t", command="c"

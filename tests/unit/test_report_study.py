@@ -16,7 +16,7 @@ from pmbm.reports.study_report import (
     study_markdown,
     study_page,
 )
-from pmbm.reports.values import CellResults, Failure, Replay, StudyReport, WorstTrial
+from pmbm.reports.values import CellResults, Failure, ReplayPage, StudyReport, WorstTrial
 from pmbm.study import StepTime, TrialResult, estimate
 
 HOSTILE = "</script><img src=x onerror=alert(1)>|\n# `&\u2028"
@@ -141,7 +141,7 @@ def test_the_page_holds_everything_and_loads_nothing():
     worst = WorstTrial(
         why=HOSTILE,
         command=HOSTILE,
-        replay=Replay(recording=scene, tracks={HOSTILE: tracks(scene)}),
+        replay=ReplayPage(recording=scene, tracks={HOSTILE: tracks(scene)}),
     )
     night = study(
         *(cell(k, point={HOSTILE: k}, scenario=HOSTILE, trackers=(HOSTILE, "b")) for k in (1, 2)),

@@ -11,7 +11,7 @@ from pmbm.assignment import k_best_choices
 from pmbm.filter.density import Globals, Index, ragged, starts, summed
 from pmbm.filter.hypotheses import clusters
 from pmbm.filter.hypotheses.clusters import joined, row_limit
-from pmbm.filter.hypotheses.gating import Pairs
+from pmbm.filter.hypotheses.gating import GatedPairs
 from pmbm.filter.hypotheses.weights import likely, log_of, normalised
 from pmbm.kernels import twin
 from pmbm.types import FloatArray
@@ -54,7 +54,7 @@ class Children:
 
 def branch(
     table: Globals,
-    known: Pairs,
+    known: GatedPairs,
     log_missed: FloatArray,
     log_new: FloatArray,
     *,

@@ -23,7 +23,7 @@ _USUAL_WIDTH = 4.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Pairs:
+class GatedPairs:
     """Gated pairs of a Gaussian and a measurement.
 
     row (n,) : of the local table, or of the PPP.  measurement (n,).
@@ -38,10 +38,10 @@ class Pairs:
     log_weight: FloatArray
     innovation: Innovation
 
-    def weighted(self, log_factor: FloatArray) -> Pairs:
+    def weighted(self, log_factor: FloatArray) -> GatedPairs:
         """With the weights multiplied by exp(log_factor) (n,)."""
         weight = self.log_weight + log_factor
-        return Pairs(self.row, self.measurement, self.y, weight, self.innovation)
+        return GatedPairs(self.row, self.measurement, self.y, weight, self.innovation)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -56,7 +56,7 @@ class FirstDetectionDensity:
     log_height: FloatArray
     gate: float
 
-    def pairs(self, z: FloatArray) -> Pairs:
+    def pairs(self, z: FloatArray) -> GatedPairs:
         """Gated pairs of components and measurements z (M,2)."""
         return _paired(self.innovation, self.log_height, z, self.gate)
 
@@ -76,12 +76,12 @@ def gated_pairs(
     z: FloatArray,
     R: FloatArray,
     threshold: float,
-) -> Pairs:
+) -> GatedPairs:
     """Pairs within the gate; a Gaussian that cannot be detected (0 in `prior`, r P_D) has none."""
     innovation, row, measurement, y, log_weight = _gated(
         mean, cov, R, prior, np.ascontiguousarray(z), threshold
     )
-    return Pairs(row, measurement, y, log_weight, Innovation(*innovation))
+    return GatedPairs(row, measurement, y, log_weight, Innovation(*innovation))
 
 
 @twin("gated")
@@ -101,14 +101,14 @@ def _gated(
 
 def _paired(
     innovation: Innovation, log_height: FloatArray, z: FloatArray, threshold: float
-) -> Pairs:
+) -> GatedPairs:
     row, measurement, y = gate(innovation, z, threshold)
     log_weight = log_height[row] - 0.5 * (y[:, 0] * y[:, 0] + y[:, 1] * y[:, 1])
     possible = log_weight > -np.inf
     if not possible.all():
         row, measurement, y = row[possible], measurement[possible], y[possible]
         log_weight = log_weight[possible]
-    return Pairs(row, measurement, y, log_weight, innovation)
+    return GatedPairs(row, measurement, y, log_weight, innovation)
 
 
 def first_detections(

@@ -18,7 +18,7 @@ from pmbm.filter.scan import Scan
 from pmbm.kernels import twin
 from pmbm.types import ABSENT, FloatArray
 
-_MOST = 0.5
+MOST_OF_ONE = 0.5
 """Share of a first detection's intensity from which on it is the object of the one track that the
 share was recycled from."""
 
@@ -54,7 +54,7 @@ def _resumed(
         scan.position[new],
         association.log_e[new],
         first.gate,
-        _MOST,
+        MOST_OF_ONE,
         r,
         density.track_id,
     )

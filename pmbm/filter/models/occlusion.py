@@ -23,19 +23,19 @@ from pmbm.filter.estimation import marginals
 from pmbm.filter.models.rays import BEARINGS, Rays, bearing_of, box_rays, outline_rays, ray_key
 from pmbm.types import FloatArray
 
-_IGNORED_EXISTENCE = 0.05
+IGNORED_EXISTENCE = 0.05
 """Tracks that exist less probably hide nothing: most are clutter, seen once."""
-_CERTAIN = 1 - 1e-9
-_TOUCHING = 1e-6
+CERTAIN = 1 - 1e-9
+TOUCHING = 1e-6
 """m; what is not nearer by more hides nothing, so that of two boxes of one front rounding hides
 neither."""
-_VAGUE = 1.0
+VAGUE = 1.0
 """m; of tracks whose position has a wider standard deviation, where they are hidden counts, too."""
-_MOVES = 2.0
+MOVES = 2.0
 """Of a missed track's visible share: the share of Bayes' shift that its place moves by.  Measured
 on development seeds of truck_occlusion and long_occlusion: ids are kept about as often as with the
 whole shift, and places are as good as with none."""
-_CAR_SD = 0.8
+CAR_SD = 0.8
 """m; standard deviation, along any axis, of a point drawn evenly from a car's outline."""
 
 
@@ -50,7 +50,7 @@ def _normal_points(count: int) -> FloatArray:
     return np.linalg.solve(root, point.T).T
 
 
-_NODES = _normal_points(24)
+NODES = _normal_points(24)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,7 +91,7 @@ class Glimpse:
         hidden.  The covariance is that around the place.
         """
         shift, spread = self._left(in_the_open)
-        held = 1 - np.minimum(_MOVES * self.share(), 1.0)[:, None]
+        held = 1 - np.minimum(MOVES * self.share(), 1.0)[:, None]
         spread = spread + (held * shift)[:, :, None] * (held * shift)[:, None, :]
         gain = self._gain(cov)
         mean = mean.copy()
@@ -117,9 +117,7 @@ class Glimpse:
         return 0.5 * (cov + cov.transpose(0, 2, 1))
 
 
-_NO_GLIMPSE = Glimpse(
-    np.zeros((0, len(_NODES))), np.zeros((0, len(_NODES), 2)), np.zeros((0, 2, 2))
-)
+_NO_GLIMPSE = Glimpse(np.zeros((0, len(NODES))), np.zeros((0, len(NODES), 2)), np.zeros((0, 2, 2)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -152,15 +150,15 @@ class Shadows:
         """The shadows of a density's tracks, as likely as these exist, and of static occluders,
         seen from pose (3,)."""
         marginal = marginals(density)
-        solid = np.flatnonzero(marginal.existence > _IGNORED_EXISTENCE)
+        solid = np.flatnonzero(marginal.existence > IGNORED_EXISTENCE)
         row = marginal.best[solid]
         local = density.local
         targets = _targets(pose, local)
         rays = targets.bare(row)
-        log_open = np.log1p(-np.minimum(marginal.existence[solid], _CERTAIN))
+        log_open = np.log1p(-np.minimum(marginal.existence[solid], CERTAIN))
         if occluders:
             rays = Rays.joined(rays, outline_rays(pose, occluders))
-            wall = np.full(len(occluders), np.log1p(-_CERTAIN))
+            wall = np.full(len(occluders), np.log1p(-CERTAIN))
             log_open = np.concatenate([log_open, wall])
         key = ray_key(rays.bearing, rays.distance)
         order = np.argsort(key, kind="stable")
@@ -232,7 +230,7 @@ class Shadows:
 
     def undetected(self, mean: FloatArray, cov: FloatArray) -> Glimpse:
         """What is seen of objects that have no track, for Gaussians (N,4), (N,4,4)."""
-        return self._glimpse(mean, cov[:, :2, :2] + _CAR_SD**2 * np.eye(2))
+        return self._glimpse(mean, cov[:, :2, :2] + CAR_SD**2 * np.eye(2))
 
     def _glimpse(self, mean: FloatArray, spread: FloatArray, own: Index | None = None) -> Glimpse:
         """What is seen of Gaussians (N,4) whose points have the covariance `spread` (N,2,2).
@@ -248,8 +246,8 @@ class Shadows:
         sd = np.sqrt(S[:, 0, 0])
         slope = S[:, 0, 1] / sd
         rest = np.sqrt(np.maximum(S[:, 1, 1] - slope**2, 0.0))
-        side = sd[:, None] * _NODES[:, 0]
-        depth = slope[:, None] * _NODES[:, 0] + rest[:, None] * _NODES[:, 1]
+        side = sd[:, None] * NODES[:, 0]
+        depth = slope[:, None] * NODES[:, 0] + rest[:, None] * NODES[:, 1]
         ahead = range_[:, None] + depth
         angle = np.arctan2(line[:, 1], line[:, 0])[:, None] + np.arctan2(side, ahead)
         bearing = bearing_of(angle - self.pose[2]).ravel()
@@ -264,7 +262,7 @@ class Shadows:
     def _log_open(self, bearing: Index, distance: FloatArray) -> FloatArray:
         """(n,) log of the probability that nothing stands nearer than `distance` at these bearings
         (n,)."""
-        nearer = np.searchsorted(self.key, ray_key(bearing, distance - _TOUCHING), side="left")
+        nearer = np.searchsorted(self.key, ray_key(bearing, distance - TOUCHING), side="left")
         log_open: FloatArray = self.log_open_before[nearer]
         log_open -= self.log_open_before[self.start[bearing]]
         return log_open
@@ -275,7 +273,7 @@ class Shadows:
         offset = np.mod(bearing - self.rays.bearing[first], BEARINGS)
         covers = (own >= 0) & (offset < self.rays.first[own + 1] - self.rays.first[own])
         at = np.where(covers, first + offset, 0)
-        hides = ray_key(bearing, self.rays.distance[at]) < ray_key(bearing, distance - _TOUCHING)
+        hides = ray_key(bearing, self.rays.distance[at]) < ray_key(bearing, distance - TOUCHING)
         return np.where(covers & hides, self.log_open[own], 0.0)
 
 
@@ -286,7 +284,7 @@ def _targets(pose: FloatArray, local: Locals) -> Rays:
 
 
 def _vague(local: Locals) -> NDArray[np.bool_]:
-    return local.cov[:, 0, 0] + local.cov[:, 1, 1] > 2 * _VAGUE**2
+    return local.cov[:, 0, 0] + local.cov[:, 1, 1] > 2 * VAGUE**2
 
 
 def _across(origin: FloatArray, local: Locals) -> FloatArray:

@@ -19,10 +19,10 @@ BEARINGS = 720
 STEP = 2 * np.pi / BEARINGS
 FAR = 1e5
 """m; no ray reaches further."""
-_COS, _SIN = np.cos((np.arange(BEARINGS) + 0.5) * STEP), np.sin((np.arange(BEARINGS) + 0.5) * STEP)
+COS, SIN = np.cos((np.arange(BEARINGS) + 0.5) * STEP), np.sin((np.arange(BEARINGS) + 0.5) * STEP)
 _HALVES = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
 _PARALLEL = 1e-12
-_ON_EDGE = 1e-6
+ON_EDGE = 1e-6
 """Of a bearing: what lies nearer below its edge is on the edge, so that rounding decides nothing of
 what lies straight ahead or abeam."""
 
@@ -68,7 +68,7 @@ class Rays:
 
 def bearing_of(angle: FloatArray) -> Index:
     """The bearings in which angles from the sensor's yaw lie."""
-    return np.mod(np.floor(angle / STEP + _ON_EDGE).astype(np.intp), BEARINGS)
+    return np.mod(np.floor(angle / STEP + ON_EDGE).astype(np.intp), BEARINGS)
 
 
 def box_rays(
@@ -82,7 +82,7 @@ def box_rays(
     """
     offset = to_local(centre, pose)
     widen = np.zeros(len(box)) if widen is None else widen
-    return Rays(*_box_rays(offset, box, widen, float(pose[2]), _COS, _SIN))
+    return Rays(*_box_rays(offset, box, widen, float(pose[2]), COS, SIN))
 
 
 @twin("box_rays")
@@ -116,7 +116,7 @@ def _box_rays(
     end = np.floor((middle + high) / STEP - 0.5).astype(np.intp)
     thin = end < begin
     if thin.any():
-        begin[thin] = end[thin] = np.floor(middle[thin] / STEP + _ON_EDGE).astype(np.intp)
+        begin[thin] = end[thin] = np.floor(middle[thin] / STEP + ON_EDGE).astype(np.intp)
     margin = np.arctan2(widen, np.maximum(range_, 1e-9))
     low, high = np.maximum(low - margin, -3.0), np.minimum(high + margin, 3.0)
     core_begin, core_end = begin, end

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -48,6 +49,11 @@ class Sensor:
     def __post_init__(self) -> None:
         check_fields(self, "sensor")
 
+    @cached_property
+    def R(self) -> FloatArray:
+        """(2,2) covariance of a measured position, m^2."""
+        return self.position_sd**2 * np.eye(2)
+
     def over(self, view: View | None, *, place_by_place: bool = False) -> ObservationModel:
         """The sensor in a frame in which it looks there; `view` None, everywhere, with
         `clutter_rate` in 1/m^2.
@@ -56,7 +62,7 @@ class Sensor:
             told which are in view and which are hidden.
         """
         return ObservationModel(
-            R=self.position_sd**2 * np.eye(2),
+            R=self.R,
             clutter=self.clutter_rate / (1.0 if view is None else view.area),
             detection=self.detection,
             view=view,

@@ -146,21 +146,21 @@ def reduce_map(
 
 def narrowed(mixture: Mixture, widest: float = WIDEST) -> Mixture:
     """Every component whose position is wider than `widest` along its longest axis, in parts along
-    that axis, again until all are narrow, to a few hundredths.
+    an axis, again until all are narrow.
 
     The parts have the mass, mean and covariance of the whole; of a component at most twice as wide
     as it may be they have five moments.  Each has the velocity that goes with its place.
     """
     done = []
     while len(mixture):
-        longest, axis = _longest(mixture.cov)
+        longest, variance, axis = _longest(mixture.cov)
         parts = np.ceil(np.sqrt(longest) / widest * (1 - 1e-9)).astype(np.intp)
         done.append(mixture.take(np.flatnonzero(parts <= 1)))
         pieces = []
         for count in np.unique(parts[parts > 1]).tolist():
             rows = np.flatnonzero(parts == count)
             along = np.einsum("pij,pj->pi", mixture.cov[rows, :, :2], axis[rows])
-            along /= np.sqrt(longest[rows])[:, None]
+            along /= np.sqrt(variance[rows])[:, None]
             pieces.append(_split(mixture.take(rows), along, count))
         mixture = _joined(pieces)
     return _joined(done)
@@ -252,8 +252,9 @@ def _runs(key: Index) -> Index:
     return np.concatenate([[0], np.flatnonzero(np.diff(key)) + 1])
 
 
-def _longest(cov: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """An axis (P,2) along which the position is widest, and its variance along that (P,).
+def _longest(cov: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The largest variance (P,) of the position along any axis; and the variance (P,) along an axis
+    (P,2) along which it is widest, or nearly so.
 
     Of Gaussians that are nearly round it is the world's first axis, so that rounding does not turn
     it; one along the world's second always points the same way.
@@ -264,7 +265,8 @@ def _longest(cov: FloatArray) -> tuple[FloatArray, FloatArray]:
     angle = 0.5 * np.arctan2(2 * tilt, between)
     cos, sin = np.cos(angle), np.sin(angle)
     variance = a * cos * cos + 2 * b * cos * sin + d * sin * sin
-    return variance, np.column_stack([cos, sin])
+    largest = 0.5 * (a + d) + np.hypot(0.5 * (a - d), b)
+    return largest, variance, np.column_stack([cos, sin])
 
 
 def _drivable(

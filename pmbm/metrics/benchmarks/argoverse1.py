@@ -28,7 +28,7 @@ from pmbm.metrics.benchmarks.rules import (
 from pmbm.metrics.core.clear_matching import clear_matches, gated_pairs
 from pmbm.metrics.core.formulas import F1, NO_MATCH, NO_TRUTH, Ratio, Total
 from pmbm.metrics.core.result import Evaluation
-from pmbm.metrics.core.scene import Scene, make_scene
+from pmbm.metrics.core.scene import ScoredScene, make_scene
 from pmbm.metrics.families.clear import MOTA, ClearCounts, clear_counts
 from pmbm.metrics.families.identity import IdentityCounts, identity_counts
 
@@ -50,7 +50,7 @@ class Argoverse1Counts:
 
 
 def argoverse1_counts(
-    scene: Scene,
+    scene: ScoredScene,
     *,
     nearest: float = 0.0,
     farthest: float = 100.0,
@@ -131,7 +131,7 @@ METRICS: Final = benchmark_metrics(
 
 
 def evaluate_argoverse1(
-    logs: Sequence[Scene], *, nearest: float = 0.0, farthest: float = 100.0
+    logs: Sequence[ScoredScene], *, nearest: float = 0.0, farthest: float = 100.0
 ) -> Evaluation:
     """Argoverse 1 over logs of one class, positions relative to the vehicle, m.
 

@@ -10,11 +10,11 @@ from typing import Final
 from pmbm.arrays import FloatArray
 from pmbm.metrics.benchmarks.rules import ComparedSequence
 from pmbm.metrics.benchmarks.trackeval import similarity_rule
-from pmbm.metrics.core.scene import Scene
+from pmbm.metrics.core.scene import ScoredScene
 from pmbm.metrics.families.hota import distance_similarity
 
 
-def _near(scene: Scene, _: ComparedSequence) -> FloatArray:
+def _near(scene: ScoredScene, _: ComparedSequence) -> FloatArray:
     return distance_similarity(scene.pairs.distance, 2.0)
 
 

@@ -29,7 +29,7 @@ from pmbm.metrics.benchmarks.trackeval import similarity_rule
 from pmbm.metrics.core.formulas import NO_TRUTH, Total
 from pmbm.metrics.core.matching import most_then_nearest
 from pmbm.metrics.core.result import Counts, Evaluation, Joined, Undefined
-from pmbm.metrics.core.scene import Scene, make_scene, pair_overlap
+from pmbm.metrics.core.scene import ScoredScene, make_scene, pair_overlap
 from pmbm.metrics.families.hota import distance_similarity
 
 
@@ -44,13 +44,13 @@ class KittiScene:
         a DontCare region.
     """
 
-    scene: Scene
+    scene: ScoredScene
     overlap: FloatArray
     ignored_truth: BoolArray
     ignored_tracks: BoolArray
 
     @classmethod
-    def plain(cls, scene: Scene, overlap: FloatArray) -> KittiScene:
+    def plain(cls, scene: ScoredScene, overlap: FloatArray) -> KittiScene:
         """With nothing ignored."""
         return cls(
             scene=scene,
@@ -266,7 +266,7 @@ def kitti_averages(
     )
 
 
-def track_mean_scores(scene: Scene) -> FloatArray:
+def track_mean_scores(scene: ScoredScene) -> FloatArray:
     """For each track row the mean score of its track, (K,)."""
     ids = len(scene.tracks.ids)
     rows = np.bincount(scene.tracks.index, minlength=ids)
@@ -367,15 +367,15 @@ def _devkit(sequence: ComparedSequence, _kind: str) -> Evaluation:
     return evaluate_kitti([compared], 0.25)
 
 
-def _iou3d(scene: Scene, _: ComparedSequence) -> FloatArray:
+def _iou3d(scene: ScoredScene, _: ComparedSequence) -> FloatArray:
     return pair_overlap(scene)
 
 
-def _near_from_above(scene: Scene, _: ComparedSequence) -> FloatArray:
+def _near_from_above(scene: ScoredScene, _: ComparedSequence) -> FloatArray:
     return distance_similarity(scene.pairs.distance)
 
 
-def _iou2d(scene: Scene, sequence: ComparedSequence) -> FloatArray:
+def _iou2d(scene: ScoredScene, sequence: ComparedSequence) -> FloatArray:
     assert sequence.truth_image is not None
     assert sequence.tracks_image is not None
     a = sequence.truth_image[scene.pairs.truth]

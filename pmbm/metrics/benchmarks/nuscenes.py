@@ -27,7 +27,7 @@ from pmbm.metrics.core.clear_matching import Matches, continuing_matches
 from pmbm.metrics.core.formulas import NO_TRUTH
 from pmbm.metrics.core.gaps import fill_gaps
 from pmbm.metrics.core.result import Counts, Evaluation, Joined, Undefined
-from pmbm.metrics.core.scene import Scene, make_scene
+from pmbm.metrics.core.scene import ScoredScene, make_scene
 from pmbm.metrics.families.clear import clear_counts
 
 RECALLS: Final[FloatArray] = np.linspace(0.1, 1.0, 40).round(12)[::-1]
@@ -58,7 +58,7 @@ class NuscenesScores:
     at_best: dict[str, float | None]
 
 
-def nuscenes_scores(scenes: Sequence[Scene], gate: float = 2.0) -> NuscenesScores | None:
+def nuscenes_scores(scenes: Sequence[ScoredScene], gate: float = 2.0) -> NuscenesScores | None:
     """Score one class; None without truth.
 
     `scene.tracks.score` holds scores of boxes; a track counts with their mean over its scene.
@@ -94,12 +94,12 @@ def nuscenes_scores(scenes: Sequence[Scene], gate: float = 2.0) -> NuscenesScore
     )
 
 
-def with_track_scores(scene: Scene) -> Scene:
+def with_track_scores(scene: ScoredScene) -> ScoredScene:
     """Every box of a track with the mean score of its track, before boxes are filled in."""
     return replace(scene, tracks=replace(scene.tracks, score=_track_scores(scene)))
 
 
-def _track_scores(scene: Scene) -> FloatArray:
+def _track_scores(scene: ScoredScene) -> FloatArray:
     """For each track row the mean score of its track, (K,), to the bit as the devkit rounds it:
     thresholds lie on these very values."""
     score = np.empty(len(scene.tracks))
@@ -110,7 +110,7 @@ def _track_scores(scene: Scene) -> FloatArray:
 
 
 def _thresholds(
-    scenes: Sequence[Scene], confidence: Sequence[FloatArray], truths: int, gate: float
+    scenes: Sequence[ScoredScene], confidence: Sequence[FloatArray], truths: int, gate: float
 ) -> FloatArray:
     """The confidence at which each recall level is met, (40,); NaN where it is not reached.
 
@@ -131,7 +131,7 @@ def _thresholds(
     return thresholds
 
 
-def _at_threshold(scenes: Sequence[Scene], gate: float) -> dict[str, float]:
+def _at_threshold(scenes: Sequence[ScoredScene], gate: float) -> dict[str, float]:
     """The traditional scores of these tracks.
 
     Quirks kept: MOTA and MOTAR are cut at 0; MOTAR's recall leaves identity switches out.
@@ -183,7 +183,7 @@ def _at_threshold(scenes: Sequence[Scene], gate: float) -> dict[str, float]:
     }
 
 
-def _waits(scene: Scene, matches: Matches) -> list[tuple[int, int]]:
+def _waits(scene: ScoredScene, matches: Matches) -> list[tuple[int, int]]:
     """For each object ever matched: frames from its first to its first match, and the longest run
     of frames without a match between its first and last frame."""
     place = scene.truth.index
@@ -202,17 +202,17 @@ def _waits(scene: Scene, matches: Matches) -> list[tuple[int, int]]:
     return waits
 
 
-def _matches(scene: Scene, gate: float) -> Matches:
+def _matches(scene: ScoredScene, gate: float) -> Matches:
     gated = scene.near(gate)
     return continuing_matches(scene, gated, gated.distance)
 
 
-def _without_empty_frames(scene: Scene) -> Scene:
+def _without_empty_frames(scene: ScoredScene) -> ScoredScene:
     """The benchmark numbers only frames in which either side has a box."""
     frames = len(scene)
     used = (scene.truth.count(frames) + scene.tracks.count(frames)) > 0
     number = np.cumsum(used) - 1
-    return Scene(
+    return ScoredScene(
         time=scene.time[used],
         truth=replace(scene.truth, frame=number[scene.truth.frame]),
         tracks=replace(scene.tracks, frame=number[scene.tracks.frame]),
@@ -220,7 +220,7 @@ def _without_empty_frames(scene: Scene) -> Scene:
 
 
 def _nothing_reached(
-    scenes: Sequence[Scene], truths: int, thresholds: FloatArray
+    scenes: Sequence[ScoredScene], truths: int, thresholds: FloatArray
 ) -> NuscenesScores:
     levels = len(RECALLS)
     at_best: dict[str, Any] = {
@@ -291,7 +291,7 @@ METRICS: Final = benchmark_metrics(
 
 
 def evaluate_nuscenes(
-    scenes: Sequence[Scene], *, gate: float = 2.0, gaps: str = "filled"
+    scenes: Sequence[ScoredScene], *, gate: float = 2.0, gaps: str = "filled"
 ) -> Evaluation:
     """nuScenes over scenes of one class.
 
@@ -307,11 +307,11 @@ def evaluate_nuscenes(
     return benchmark_evaluation(METRICS, {"scenes": Joined(filled)}, parameters, len(scenes))
 
 
-def _left(scene: Scene) -> Scene:
+def _left(scene: ScoredScene) -> ScoredScene:
     return scene
 
 
-_GAPS: Final[Mapping[str, Callable[[Scene], Scene]]] = {
+_GAPS: Final[Mapping[str, Callable[[ScoredScene], ScoredScene]]] = {
     "filled": fill_gaps,
     "devkit": partial(fill_gaps, reversed_weights=True),
     "left": _left,

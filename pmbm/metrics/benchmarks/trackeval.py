@@ -24,7 +24,7 @@ from pmbm.metrics.core.clear_matching import Matches, matches_of
 from pmbm.metrics.core.formulas import F1, NO_MATCH, Ratio, Total
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.result import Counts, Evaluation, Formula, Undefined
-from pmbm.metrics.core.scene import Scene, make_scene
+from pmbm.metrics.core.scene import ScoredScene, make_scene
 from pmbm.metrics.families.clear import MOTA
 from pmbm.metrics.families.hota import HotaCounts, OverThresholds, hota_counts
 from pmbm.metrics.families.identity import IdentityCounts, identity_counts
@@ -36,7 +36,7 @@ _EPS: Final = float(np.finfo(np.float64).eps)
 class SimilarScene:
     """One sequence and class, with the similarity (Q,) of the scene's pairs, in [0, 1]."""
 
-    scene: Scene
+    scene: ScoredScene
     similarity: FloatArray
 
     def counted(self, least: float, excused: BoolArray) -> SimilarScene:
@@ -86,7 +86,7 @@ class TrackEvalCounts:
 
 
 def trackeval_counts(
-    scene: Scene, similarity: FloatArray, threshold: float = 0.5
+    scene: ScoredScene, similarity: FloatArray, threshold: float = 0.5
 ) -> TrackEvalCounts:
     """Count one sequence, similarity (Q,) of the scene's pairs."""
     one_sided = len(scene.truth) == 0 or len(scene.tracks) == 0
@@ -114,7 +114,9 @@ def trackeval_counts(
     )
 
 
-def trackeval_matches(scene: Scene, similarity: FloatArray, threshold: float = 0.5) -> Matches:
+def trackeval_matches(
+    scene: ScoredScene, similarity: FloatArray, threshold: float = 0.5
+) -> Matches:
     """Match frame by frame; `distance` of the result holds the similarity.
 
     Quirks kept: only pairs of the single previous frame in which both sides have boxes are
@@ -230,13 +232,13 @@ def _hota_scores(counts: HotaCounts) -> dict[str, Any]:
     return scores
 
 
-def _two_sided_frames(scene: Scene) -> IntArray:
+def _two_sided_frames(scene: ScoredScene) -> IntArray:
     """Frames in which both sides have boxes."""
     frames = len(scene)
     return np.flatnonzero((scene.truth.count(frames) > 0) & (scene.tracks.count(frames) > 0))
 
 
-def _restarts(scene: Scene, matches: Matches) -> int:
+def _restarts(scene: ScoredScene, matches: Matches) -> int:
     """Tracking restarts beyond the first of each object.
 
     Quirk kept: the absence of an object counts as not tracked, and frames in which either side is
@@ -335,7 +337,7 @@ class SimilarityScore:
         are left out, m.
     """
 
-    measure: Callable[[Scene, ComparedSequence], FloatArray]
+    measure: Callable[[ScoredScene, ComparedSequence], FloatArray]
     least: float
     says: str
     farthest: float = np.inf
@@ -353,7 +355,7 @@ class SimilarityScore:
 
 
 def similarity_rule(
-    measure: Callable[[Scene, ComparedSequence], FloatArray],
+    measure: Callable[[ScoredScene, ComparedSequence], FloatArray],
     least: float,
     says: str,
     farthest: float = np.inf,

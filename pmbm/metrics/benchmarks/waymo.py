@@ -24,7 +24,7 @@ from pmbm.metrics.benchmarks.rules import (
 from pmbm.metrics.core.formulas import NO_TRUTH
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.result import Counts, Evaluation, Undefined
-from pmbm.metrics.core.scene import Boxes, Scene, make_scene, pair_overlap
+from pmbm.metrics.core.scene import BoxRows, ScoredScene, make_scene, pair_overlap
 
 CUTOFFS: Final[FloatArray] = np.append(np.arange(100) * 0.01, 1.0)
 """Scores are compared with them in single precision, as they are stored."""
@@ -42,7 +42,7 @@ class WaymoScene:
     in_no_label_zone (K,) : track rows that overlap a no-label zone, not false where unmatched.
     """
 
-    scene: Scene
+    scene: ScoredScene
     overlap: FloatArray
     level: IntArray
     in_no_label_zone: BoolArray
@@ -61,13 +61,13 @@ class WaymoScene:
         )
 
 
-def _between(boxes: Boxes, low: float, high: float) -> BoolArray:
+def _between(boxes: BoxRows, low: float, high: float) -> BoolArray:
     away: FloatArray = np.sqrt((boxes.position**2).sum(axis=1))
     inside: BoolArray = (low <= away) & (away < high)
     return inside
 
 
-def waymo_overlap(scene: Scene) -> FloatArray:
+def waymo_overlap(scene: ScoredScene) -> FloatArray:
     """3D IoU of the scene's pairs (Q,); 0 where a box has a side of at most 0.01 m."""
     overlap = pair_overlap(scene)
     flat_truth = scene.truth.size.min(axis=1, initial=np.inf) <= _SMALLEST_SIDE
@@ -252,7 +252,7 @@ def _run(
     return matched, mismatches, float(np.maximum(1 - sequence.overlap[matched], 0).sum())
 
 
-def _ids_by_frame(scene: Scene) -> list[IntArray]:
+def _ids_by_frame(scene: ScoredScene) -> list[IntArray]:
     """The places of the objects' ids in each frame."""
     cuts = np.searchsorted(scene.truth.frame, np.arange(1, len(scene)))
     return np.split(scene.truth.index, cuts) if len(scene) else []

@@ -14,7 +14,7 @@ import numpy as np
 from pmbm.arrays import BoolArray, FloatArray, IntArray
 from pmbm.errors import InputError
 from pmbm.metrics.core.matching import most_then_nearest
-from pmbm.metrics.core.scene import Pairs, Scene
+from pmbm.metrics.core.scene import NearPairs, ScoredScene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -36,7 +36,7 @@ class Matches:
         return len(self.frame)
 
 
-def clear_matches(scene: Scene, gate: float = 2.0) -> Matches:
+def clear_matches(scene: ScoredScene, gate: float = 2.0) -> Matches:
     """Match objects and tracks by the standard CLEAR rule.
 
     In each frame an object keeps the track of its last match, however long ago, while that track
@@ -50,13 +50,15 @@ def clear_matches(scene: Scene, gate: float = 2.0) -> Matches:
     return continuing_matches(scene, gated_pairs(scene, gate))
 
 
-def gated_pairs(scene: Scene, gate: float) -> Pairs:
+def gated_pairs(scene: ScoredScene, gate: float) -> NearPairs:
     """The pairs strictly nearer than `gate` between centres in (x, y, z), m."""
     near = scene.near(gate)
     return near.take(near.distance_xyz < gate)
 
 
-def continuing_matches(scene: Scene, gated: Pairs, distance: FloatArray | None = None) -> Matches:
+def continuing_matches(
+    scene: ScoredScene, gated: NearPairs, distance: FloatArray | None = None
+) -> Matches:
     """`clear_matches` with any gate and any distance.
 
     gated : the pairs that may match.
@@ -67,7 +69,7 @@ def continuing_matches(scene: Scene, gated: Pairs, distance: FloatArray | None =
     return matches_of(scene, gated.take(chosen), cost[chosen])
 
 
-def matches_of(scene: Scene, pairs: Pairs, distance: FloatArray) -> Matches:
+def matches_of(scene: ScoredScene, pairs: NearPairs, distance: FloatArray) -> Matches:
     """These pairs as matches, with the identity switches among them."""
     truth_id, track_id = scene.truth.index[pairs.truth], scene.tracks.index[pairs.track]
     order = np.lexsort((pairs.frame, truth_id))
@@ -84,7 +86,7 @@ def matches_of(scene: Scene, pairs: Pairs, distance: FloatArray) -> Matches:
     )
 
 
-def _continue_tracks(scene: Scene, gated: Pairs, cost: FloatArray) -> IntArray:
+def _continue_tracks(scene: ScoredScene, gated: NearPairs, cost: FloatArray) -> IntArray:
     """The chosen rows of `gated`: last matches first, the rest by the best assignment."""
     truth_id = scene.truth.index[gated.truth].tolist()
     track_id = scene.tracks.index[gated.track].tolist()

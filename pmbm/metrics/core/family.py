@@ -12,14 +12,14 @@ import numpy as np
 from pmbm.metrics.core.clear_matching import Matches, clear_matches
 from pmbm.metrics.core.parameters import MetricParameters
 from pmbm.metrics.core.result import Metric
-from pmbm.metrics.core.scene import Scene
+from pmbm.metrics.core.scene import ScoredScene
 
 
 @dataclass(frozen=True, eq=False)
 class Work:
     """A scene with the parameters, and what several families need of it, made once."""
 
-    scene: Scene
+    scene: ScoredScene
     parameters: MetricParameters
 
     def __post_init__(self) -> None:
@@ -81,7 +81,7 @@ class Family:
     follows_objects: bool = False
 
 
-def observable_scene(scene: Scene, matches: Matches) -> Scene:
+def observable_scene(scene: ScoredScene, matches: Matches) -> ScoredScene:
     """The scene without unobservable truth rows and without the track rows matched to them."""
     ignored = np.zeros(len(scene.tracks), np.bool_)
     ignored[matches.track[~scene.truth.observable[matches.truth]]] = True

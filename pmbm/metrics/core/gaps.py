@@ -1,4 +1,4 @@
-"""Boxes where an object or a track is absent for a while, filled in as nuScenes does."""
+"""BoxRows where an object or a track is absent for a while, filled in as nuScenes does."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 from pmbm.arrays import FloatArray
 from pmbm.geometry import wrap_angle
-from pmbm.metrics.core.scene import Boxes, Scene, sorted_boxes
+from pmbm.metrics.core.scene import BoxRows, ScoredScene, sorted_boxes
 
 
-def fill_gaps(scene: Scene, *, reversed_weights: bool = False) -> Scene:
+def fill_gaps(scene: ScoredScene, *, reversed_weights: bool = False) -> ScoredScene:
     """The scene with every id present from its first to its last frame, on both sides.
 
     Boxes in between are interpolated in time: position, size, velocity and score linearly, yaw the
@@ -20,14 +20,14 @@ def fill_gaps(scene: Scene, *, reversed_weights: bool = False) -> Scene:
     reversed_weights : as nuscenes-devkit does it, which gives the weight of the later box to the
         earlier one: between x = 0 at t = 0 and x = 3 at t = 3 it puts x = 2 at t = 1.
     """
-    return Scene(
+    return ScoredScene(
         time=scene.time,
         truth=_filled(scene.truth, scene.time, reversed_weights),
         tracks=_filled(scene.tracks, scene.time, reversed_weights),
     )
 
 
-def _filled(boxes: Boxes, time: FloatArray, reversed_weights: bool) -> Boxes:
+def _filled(boxes: BoxRows, time: FloatArray, reversed_weights: bool) -> BoxRows:
     order = boxes.by_object
     before, after = order[:-1], order[1:]
     absent = np.where(

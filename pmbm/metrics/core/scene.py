@@ -21,7 +21,7 @@ from pmbm.types import GroundTruth, Recording, Tracks, TrackSequence
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Boxes:
+class BoxRows:
     """One side of the comparison over all frames.
 
     frame, id (N,) : rows sorted by frame, then id; each id at most once in a frame.
@@ -45,10 +45,10 @@ class Boxes:
     def __len__(self) -> int:
         return len(self.id)
 
-    def take(self, rows: ArrayLike) -> Boxes:
+    def take(self, rows: ArrayLike) -> BoxRows:
         """Only these rows (a mask, or indices in ascending order)."""
         index = np.asarray(rows)
-        return Boxes(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return BoxRows(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
     def count(self, frames: int) -> IntArray:
         """Rows in each of `frames` frames, (F,)."""
@@ -71,10 +71,10 @@ class Boxes:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Pairs:
+class NearPairs:
     """All truth and track rows of the same frame, in order of truth row, then track row.
 
-    frame, truth, track (Q,) : the frame, and rows of the two `Boxes`.
+    frame, truth, track (Q,) : the frame, and rows of the two `BoxRows`.
     distance (Q,) : between centres in (x, y), m.
     distance_xyz (Q,) : between centres in (x, y, z), m.
     """
@@ -88,13 +88,13 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def take(self, rows: ArrayLike) -> Pairs:
+    def take(self, rows: ArrayLike) -> NearPairs:
         index = np.asarray(rows)
-        return Pairs(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return NearPairs(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Scene:
+class ScoredScene:
     """A run to be scored: F frames of truth and tracks.
 
     time (F,) : s, increasing.
@@ -102,8 +102,8 @@ class Scene:
     """
 
     time: FloatArray
-    truth: Boxes
-    tracks: Boxes
+    truth: BoxRows
+    tracks: BoxRows
 
     def __len__(self) -> int:
         """Frames."""
@@ -115,11 +115,11 @@ class Scene:
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else None
 
     @cached_property
-    def pairs(self) -> Pairs:
+    def pairs(self) -> NearPairs:
         """Every pair of a truth and a track of the same frame."""
         return _measured(self, *pair_rows(self.truth.frame, self.tracks.count(len(self))))
 
-    def near(self, distance: float) -> Pairs:
+    def near(self, distance: float) -> NearPairs:
         """The pairs whose centres are nearer than this in (x, y), m; kept for smaller distances."""
         reach, pairs = self.__dict__.get("_near", (-np.inf, None))
         if reach < distance:
@@ -129,17 +129,19 @@ class Scene:
             pairs = pairs.take(pairs.distance < distance)
         return pairs
 
-    def with_rows(self, truth: ArrayLike, tracks: ArrayLike) -> Scene:
+    def with_rows(self, truth: ArrayLike, tracks: ArrayLike) -> ScoredScene:
         """The same frames with only these rows of either side."""
-        return Scene(time=self.time, truth=self.truth.take(truth), tracks=self.tracks.take(tracks))
+        return ScoredScene(
+            time=self.time, truth=self.truth.take(truth), tracks=self.tracks.take(tracks)
+        )
 
 
-def _measured(scene: Scene, truth: IntArray, track: IntArray) -> Pairs:
+def _measured(scene: ScoredScene, truth: IntArray, track: IntArray) -> NearPairs:
     """These pairs of rows with their distances."""
     offset = scene.truth.position[truth] - scene.tracks.position[track]
     offset *= offset
     flat = offset[:, 0] + offset[:, 1]
-    return Pairs(
+    return NearPairs(
         frame=scene.truth.frame[truth],
         truth=truth,
         track=track,
@@ -148,7 +150,7 @@ def _measured(scene: Scene, truth: IntArray, track: IntArray) -> Pairs:
     )
 
 
-def _near_pairs(scene: Scene, distance: float) -> Pairs:
+def _near_pairs(scene: ScoredScene, distance: float) -> NearPairs:
     """The pairs nearer than `distance`, found by sweeping along x or y in all frames at once."""
     truth, tracks = scene.truth, scene.tracks
     if len(truth) == 0 or len(tracks) == 0:
@@ -185,7 +187,7 @@ def _ranges(first: IntArray, beyond: IntArray) -> tuple[IntArray, IntArray]:
     return which, np.arange(len(which)) - np.repeat(begin - first, count)
 
 
-def pair_overlap(scene: Scene, *, vertical: bool = True) -> FloatArray:
+def pair_overlap(scene: ScoredScene, *, vertical: bool = True) -> FloatArray:
     """Intersection over union of the scene's pairs (Q,): of rotated boxes' volumes, or with
     `vertical=False` of their bird's-eye areas."""
     truth, tracks, pairs = scene.truth, scene.tracks, scene.pairs
@@ -212,7 +214,7 @@ def pair_rows(truth_frame: IntArray, tracks_per_frame: IntArray) -> tuple[IntArr
     return _ranges((beyond - tracks_per_frame)[truth_frame], beyond[truth_frame])
 
 
-def scene_of(recording: Recording, tracks: TrackSequence | Sequence[Tracks]) -> Scene:
+def scene_of(recording: Recording, tracks: TrackSequence | Sequence[Tracks]) -> ScoredScene:
     """The frames that were stepped, against the truth of those frames.
 
     Raises InputError where `tracks` has frames that the recording has not, is a plain sequence of
@@ -242,7 +244,7 @@ def scene_of(recording: Recording, tracks: TrackSequence | Sequence[Tracks]) -> 
     return make_scene([recording.truth[k] for k in frame], tracks)
 
 
-def make_scene(truth: Sequence[GroundTruth], tracks: Iterable[Tracks]) -> Scene:
+def make_scene(truth: Sequence[GroundTruth], tracks: Iterable[Tracks]) -> ScoredScene:
     """The scene of these frames, `tracks[k]` reported for `truth[k]`.
 
     Raises InputError where their numbers differ or times do not increase.
@@ -263,7 +265,7 @@ def make_scene(truth: Sequence[GroundTruth], tracks: Iterable[Tracks]) -> Scene:
     time = np.array([frame.time for frame in truth], dtype=np.float64)
     check_increasing(time, "truth")
     check_increasing(np.array([report.time for report in reports]), "tracks")
-    return Scene(time=time, truth=_truth_boxes(truth), tracks=_track_boxes(reports))
+    return ScoredScene(time=time, truth=_truth_boxes(truth), tracks=_track_boxes(reports))
 
 
 def check_increasing(time: FloatArray, what: str) -> None:
@@ -279,7 +281,7 @@ def check_increasing(time: FloatArray, what: str) -> None:
         )
 
 
-def _truth_boxes(frames: Sequence[GroundTruth]) -> Boxes:
+def _truth_boxes(frames: Sequence[GroundTruth]) -> BoxRows:
     rows = sum(map(len, frames))
     columns = _columns(frames)
     return sorted_boxes(
@@ -291,7 +293,7 @@ def _truth_boxes(frames: Sequence[GroundTruth]) -> Boxes:
     )
 
 
-def _track_boxes(frames: Sequence[Tracks]) -> Boxes:
+def _track_boxes(frames: Sequence[Tracks]) -> BoxRows:
     rows = sum(map(len, frames))
     columns = _columns(frames)
     covariance = [
@@ -323,14 +325,14 @@ def _joined(arrays: list[Any], empty: tuple[int, ...], dtype: type) -> NDArray[A
     return np.concatenate(arrays) if arrays else np.zeros(empty, dtype)
 
 
-def sorted_boxes(what: str = "boxes", **columns: NDArray[Any]) -> Boxes:
+def sorted_boxes(what: str = "boxes", **columns: NDArray[Any]) -> BoxRows:
     """One side from tables in any order of rows: sorted by frame, then id.
 
-    columns : those of `Boxes`.  Raises InputError, naming the frame and the id, for an id that
+    columns : those of `BoxRows`.  Raises InputError, naming the frame and the id, for an id that
     comes twice in a frame, and for numbers that are not finite.
     """
     order = np.lexsort((columns["id"], columns["frame"]))
-    boxes = Boxes(**{name: column[order] for name, column in columns.items()})
+    boxes = BoxRows(**{name: column[order] for name, column in columns.items()})
     same = (np.diff(boxes.frame) == 0) & (np.diff(boxes.id) == 0)
     if same.any():
         row = int(np.flatnonzero(same)[0])

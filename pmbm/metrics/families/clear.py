@@ -17,7 +17,7 @@ from pmbm.metrics.core.clear_matching import Matches
 from pmbm.metrics.core.family import Family, Tally, Work
 from pmbm.metrics.core.formulas import NO_MATCH, NO_TRACKS, NO_TRUTH, OneMinusRatio, Ratio, Total
 from pmbm.metrics.core.result import Metric
-from pmbm.metrics.core.scene import Scene
+from pmbm.metrics.core.scene import ScoredScene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ class ClearCounts:
     distance_sum: float
 
 
-def clear_counts(scene: Scene, matches: Matches) -> ClearCounts:
+def clear_counts(scene: ScoredScene, matches: Matches) -> ClearCounts:
     """Count the events of a matching.
 
     A fragmentation is a change from tracked to missed of an object between its first and its last
@@ -77,7 +77,7 @@ def clear_counts(scene: Scene, matches: Matches) -> ClearCounts:
     )
 
 
-def fragmentations(scene: Scene, tracked: BoolArray) -> int:
+def fragmentations(scene: ScoredScene, tracked: BoolArray) -> int:
     """Interruptions of tracked objects that are taken up again, tracked (N,) per truth row."""
     order = scene.truth.by_object
     # An interruption taken up again is a restart: between consecutive tracked rows of one object
@@ -88,7 +88,7 @@ def fragmentations(scene: Scene, tracked: BoolArray) -> int:
     return int((same & (np.diff(object_place) > 1)).sum())
 
 
-def _transfers(scene: Scene, matches: Matches) -> int:
+def _transfers(scene: ScoredScene, matches: Matches) -> int:
     """New matches whose track was last newly matched to another object."""
     truth_id, track_id = scene.truth.index[matches.truth], scene.tracks.index[matches.track]
     order = np.lexsort((matches.frame, truth_id))

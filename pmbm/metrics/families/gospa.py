@@ -21,7 +21,7 @@ from pmbm.metrics.core.formulas import NO_FRAMES, Means, Ratio
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.points import check_cutoff_and_order, point_sets
 from pmbm.metrics.core.result import Metric
-from pmbm.metrics.core.scene import Pairs, Scene
+from pmbm.metrics.core.scene import NearPairs, ScoredScene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -41,10 +41,10 @@ class GospaSeries:
     false: FloatArray
     missed_count: IntArray
     false_count: IntArray
-    pairs: Pairs
+    pairs: NearPairs
 
 
-def gospa_series(scene: Scene, cutoff: float = 4.0, order: float = 2.0) -> GospaSeries:
+def gospa_series(scene: ScoredScene, cutoff: float = 4.0, order: float = 2.0) -> GospaSeries:
     """GOSPA of every frame of a scene, distances of centres in (x, y).
 
     cutoff : c > 0, m: an object and a track at least this far apart are one missed and one false.

@@ -17,7 +17,7 @@ from pmbm.metrics.core.family import Family, Tally, Work
 from pmbm.metrics.core.formulas import NOTHING
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.result import Counts, Metric, Undefined
-from pmbm.metrics.core.scene import Pairs, Scene
+from pmbm.metrics.core.scene import NearPairs, ScoredScene
 from pmbm.metrics.families.identity import id_pairs
 
 ALPHAS: Final = np.arange(0.05, 0.99, 0.05)
@@ -49,7 +49,7 @@ def distance_similarity(distance: FloatArray, zero_at: float = 4.0) -> FloatArra
     return np.maximum(0.0, 1.0 - distance / zero_at)
 
 
-def hota_counts(scene: Scene, pairs: Pairs, similarity: FloatArray) -> HotaCounts:
+def hota_counts(scene: ScoredScene, pairs: NearPairs, similarity: FloatArray) -> HotaCounts:
     """Match every frame by global alignment times similarity, and count at each threshold.
 
     pairs : all pairs of the scene that are alike at all.

@@ -18,7 +18,7 @@ from pmbm.metrics.core.family import Family, Tally, Work
 from pmbm.metrics.core.formulas import F1
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.result import Metric
-from pmbm.metrics.core.scene import Pairs, Scene
+from pmbm.metrics.core.scene import NearPairs, ScoredScene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class IdentityCounts:
     false_positives: int
 
 
-def identity_counts(scene: Scene, together: Pairs) -> IdentityCounts:
+def identity_counts(scene: ScoredScene, together: NearPairs) -> IdentityCounts:
     """Assign object ids to track ids one to one, so that most rows agree.
 
     together : the pairs of the scene that are inside the gate.
@@ -46,7 +46,7 @@ def identity_counts(scene: Scene, together: Pairs) -> IdentityCounts:
     )
 
 
-def id_pairs(scene: Scene, pairs: Pairs) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+def id_pairs(scene: ScoredScene, pairs: NearPairs) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """The distinct pairs of ids among Q pairs of rows, in ascending order.
 
     Returns the object's and the track's place among the ids (U,) and (U,), the place of each pair

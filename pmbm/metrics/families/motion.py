@@ -15,16 +15,16 @@ from pmbm.metrics.core.clear_matching import Matches
 from pmbm.metrics.core.family import Family, Tally, Work
 from pmbm.metrics.core.formulas import NO_MATCH, Ratio
 from pmbm.metrics.core.result import Counts, Metric
-from pmbm.metrics.core.scene import Scene
+from pmbm.metrics.core.scene import ScoredScene
 
 
-def velocity_error(scene: Scene, matches: Matches) -> FloatArray:
+def velocity_error(scene: ScoredScene, matches: Matches) -> FloatArray:
     """Length of the difference of velocities of each matched pair (A,), m/s."""
     difference = scene.tracks.velocity[matches.track] - scene.truth.velocity[matches.truth]
     return np.hypot(difference[:, 0], difference[:, 1])
 
 
-def yaw_error(scene: Scene, matches: Matches) -> FloatArray:
+def yaw_error(scene: ScoredScene, matches: Matches) -> FloatArray:
     """Absolute difference of yaws of each matched pair (A,), in [0, pi] rad."""
     return np.abs(wrap_angle(scene.tracks.yaw[matches.track] - scene.truth.yaw[matches.truth]))
 

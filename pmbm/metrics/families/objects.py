@@ -17,7 +17,7 @@ from pmbm.metrics.core.clear_matching import Matches
 from pmbm.metrics.core.family import Family, Tally, Work
 from pmbm.metrics.core.formulas import Described, Mean, Median, Number
 from pmbm.metrics.core.result import Counts, Metric, Samples
-from pmbm.metrics.core.scene import Scene
+from pmbm.metrics.core.scene import ScoredScene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,7 +42,7 @@ class ObjectMeasures:
     false_track_life: FloatArray
 
 
-def object_measures(scene: Scene, matches: Matches) -> ObjectMeasures:
+def object_measures(scene: ScoredScene, matches: Matches) -> ObjectMeasures:
     """Delays, ghosts and life of every object's tracks."""
     truth, tracks = scene.truth, scene.tracks
     objects, track_ids = len(truth.ids), len(tracks.ids)

@@ -17,7 +17,7 @@ from pmbm.metrics.core.clear_matching import Matches
 from pmbm.metrics.core.family import Family, Tally, Work
 from pmbm.metrics.core.formulas import Described, Mean, Totals
 from pmbm.metrics.core.result import Counts, Metric, Samples, Undefined
-from pmbm.metrics.core.scene import Scene
+from pmbm.metrics.core.scene import ScoredScene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,7 +60,7 @@ class Occlusion:
         return self.before is not None and self.after == self.before
 
 
-def occlusions(scene: Scene, matches: Matches, frames: int = 5) -> Iterator[Occlusion]:
+def occlusions(scene: ScoredScene, matches: Matches, frames: int = 5) -> Iterator[Occlusion]:
     """Every object's spells of at least `frames` consecutive unobservable rows between two
     observable ones, object by object."""
     truth = scene.truth
@@ -80,7 +80,7 @@ def occlusions(scene: Scene, matches: Matches, frames: int = 5) -> Iterator[Occl
             )
 
 
-def occlusion_measures(scene: Scene, matches: Matches, frames: int = 5) -> OcclusionMeasures:
+def occlusion_measures(scene: ScoredScene, matches: Matches, frames: int = 5) -> OcclusionMeasures:
     """Follow every object through each of its `occlusions`."""
     truth, tracks = scene.truth, scene.tracks
     row_of_report = {

@@ -27,7 +27,7 @@ from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.parameters import MetricParameters
 from pmbm.metrics.core.points import check_cutoff_and_order, point_sets
 from pmbm.metrics.core.result import Metric
-from pmbm.metrics.core.scene import Scene
+from pmbm.metrics.core.scene import ScoredScene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,7 +42,7 @@ class OspaSeries:
     cardinality: FloatArray
 
 
-def ospa_series(scene: Scene, cutoff: float = 10.0, order: float = 2.0) -> OspaSeries:
+def ospa_series(scene: ScoredScene, cutoff: float = 10.0, order: float = 2.0) -> OspaSeries:
     """OSPA of every frame of a scene, distances of centres in (x, y).
 
     cutoff : c > 0, m.  order : p >= 1, finite.

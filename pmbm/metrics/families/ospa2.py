@@ -17,11 +17,13 @@ from pmbm.metrics.core.formulas import NO_FRAMES, Means, Ratio
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.points import check_cutoff_and_order
 from pmbm.metrics.core.result import Metric
-from pmbm.metrics.core.scene import Boxes, Scene
+from pmbm.metrics.core.scene import BoxRows, ScoredScene
 from pmbm.metrics.families.ospa import OSPA_BOUNDS, OspaSeries
 
 
-def ospa2_series(scene: Scene, window: int, cutoff: float = 10.0, order: float = 2.0) -> OspaSeries:
+def ospa2_series(
+    scene: ScoredScene, window: int, cutoff: float = 10.0, order: float = 2.0
+) -> OspaSeries:
     """OSPA(2) at every frame: OSPA between the tracks alive in the last `window` frames.
 
     The distance of an object and a track, to the p-th power, is the mean over the window's frames
@@ -85,7 +87,7 @@ def _in_windows(frame: IntArray, window: int, frames: int) -> tuple[IntArray, In
     return row[inside], end[inside]
 
 
-def _presence(boxes: Boxes, frames: int) -> BoolArray:
+def _presence(boxes: BoxRows, frames: int) -> BoolArray:
     """Whether each id exists in each frame, (I,F)."""
     there = np.zeros((len(boxes.ids), frames), np.bool_)
     there[boxes.index, boxes.frame] = True

@@ -18,11 +18,11 @@ from pmbm.intervals import SHARE
 from pmbm.metrics.core.family import Family, Tally, Work
 from pmbm.metrics.core.formulas import NO_MATCH, NO_TRACKS, NO_TRUTH, Ratio
 from pmbm.metrics.core.result import Metric
-from pmbm.metrics.core.scene import Scene
+from pmbm.metrics.core.scene import ScoredScene
 
 
 @dataclass(frozen=True, kw_only=True)
-class Association:
+class SiapAssociation:
     """A track id follows an object id from the first to the last frame, both included."""
 
     truth: int
@@ -56,8 +56,8 @@ class SiapCounts:
 
 
 def siap_associations(
-    scene: Scene, *, gate: float = 2.0, confirm: int = 1, end: int = 1
-) -> tuple[Association, ...]:
+    scene: ScoredScene, *, gate: float = 2.0, confirm: int = 1, end: int = 1
+) -> tuple[SiapAssociation, ...]:
     """Which track follows which object when.
 
     gate : only objects strictly nearer than this in (x, y), m, are followed.
@@ -67,14 +67,14 @@ def siap_associations(
     """
     nearest = _nearest_truth(scene, gate)
     tracks = scene.tracks
-    found: list[Association] = []
+    found: list[SiapAssociation] = []
     for rows in np.split(
         tracks.by_object, np.flatnonzero(np.diff(tracks.index[tracks.by_object])) + 1
     ):
         if len(rows):
             spells = _spells(nearest[rows].tolist(), confirm, end)
             found.extend(
-                Association(
+                SiapAssociation(
                     truth=int(scene.truth.ids[followed]),
                     track=int(tracks.id[rows[0]]),
                     first=int(tracks.frame[rows[first]]),
@@ -85,7 +85,7 @@ def siap_associations(
     return tuple(sorted(found, key=lambda a: (a.truth, a.track, a.first)))
 
 
-def siap_counts(scene: Scene, associations: Sequence[Association]) -> SiapCounts:
+def siap_counts(scene: ScoredScene, associations: Sequence[SiapAssociation]) -> SiapCounts:
     """Count under these associations; a frame in which either side is absent holds no pair."""
     truth_row = _row_table(scene.truth.frame, scene.truth.index, len(scene.truth.ids), len(scene))
     track_row = _row_table(
@@ -93,7 +93,7 @@ def siap_counts(scene: Scene, associations: Sequence[Association]) -> SiapCounts
     )
     tracked = np.zeros(len(scene.truth), np.bool_)
     associated = np.zeros(len(scene.tracks), np.bool_)
-    by_truth: dict[int, list[Association]] = {}
+    by_truth: dict[int, list[SiapAssociation]] = {}
     position_error = velocity_error = 0.0
     for association in associations:
         i = int(np.searchsorted(scene.truth.ids, association.truth))
@@ -133,7 +133,7 @@ def siap_counts(scene: Scene, associations: Sequence[Association]) -> SiapCounts
     )
 
 
-def _nearest_truth(scene: Scene, gate: float) -> IntArray:
+def _nearest_truth(scene: ScoredScene, gate: float) -> IntArray:
     """For each track row the place of the nearest object's id, or -1; the lower id of equals."""
     pairs = scene.near(gate)
     order = np.lexsort((pairs.truth, pairs.distance, pairs.track))
@@ -187,7 +187,7 @@ def _row_table(frame: IntArray, index: IntArray, ids: int, frames: int) -> IntAr
     return table
 
 
-def _tracks_needed(there: IntArray, own: Sequence[Association]) -> int:
+def _tracks_needed(there: IntArray, own: Sequence[SiapAssociation]) -> int:
     """The fewest associations that cover the object wherever any does: from each uncovered frame
     on, the one that lasts longest."""
     needed, done = 0, -1
@@ -199,7 +199,7 @@ def _tracks_needed(there: IntArray, own: Sequence[Association]) -> int:
     return needed
 
 
-def _longest_segment(time: FloatArray, own: Sequence[Association]) -> float:
+def _longest_segment(time: FloatArray, own: Sequence[SiapAssociation]) -> float:
     """The longest time, all its spells together, that one track follows the object, s."""
     by_track: dict[int, float] = {}
     for association in own:
@@ -208,7 +208,7 @@ def _longest_segment(time: FloatArray, own: Sequence[Association]) -> float:
     return max(by_track.values(), default=0.0)
 
 
-def _time_tracked(time: FloatArray, there: IntArray, own: Sequence[Association]) -> float:
+def _time_tracked(time: FloatArray, there: IntArray, own: Sequence[SiapAssociation]) -> float:
     """Time between consecutive frames of an object that one association covers both, s."""
     begin, end = there[:-1], there[1:]
     covered = np.zeros(len(begin), np.bool_)

@@ -24,7 +24,7 @@ from pmbm.metrics.core.family import Family, Tally, Work
 from pmbm.metrics.core.formulas import Totals
 from pmbm.metrics.core.points import check_cutoff_and_order
 from pmbm.metrics.core.result import Counts, Metric
-from pmbm.metrics.core.scene import Scene
+from pmbm.metrics.core.scene import ScoredScene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,9 @@ class Tgospa:
     switch: float
 
 
-def tgospa(scene: Scene, *, cutoff: float = 4.0, order: float = 2.0, switch: float = 2.0) -> Tgospa:
+def tgospa(
+    scene: ScoredScene, *, cutoff: float = 4.0, order: float = 2.0, switch: float = 2.0
+) -> Tgospa:
     """The trajectory metric between the objects and the tracks of a scene.
 
     cutoff : c > 0, m.  order : p >= 1.  switch : gamma > 0, m: an object that changes from one

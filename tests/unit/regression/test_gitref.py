@@ -11,7 +11,7 @@ from gate_worlds_small import OneCar
 
 from pmbm.errors import InputError
 from pmbm.filter import PMBMTracker
-from pmbm.regression import Entry, Rules, Verdict, gated_metric, gitref, run_gate
+from pmbm.regression import GateEntry, Rules, Verdict, gated_metric, gitref, run_gate
 from pmbm.regression.gitref import GitTracker, checked_out, same_sources
 from pmbm.tracking import make_tracker, run, track
 
@@ -149,7 +149,7 @@ def test_the_gate_runs_a_commit_beside_the_candidate(repository):
         Rules(margin=0.5, alpha=0.05, rarest=0.2, max_trials=20),
     )
     with checked_out("c0") as good, checked_out("c5") as bad:
-        entry = Entry(
+        entry = GateEntry(
             OneCar(), GitTracker(good, "mine_in_git:Mine"), GitTracker(bad, "mine_in_git:Mine")
         )
         serial = run_gate({"scene": entry}, metric, rules)

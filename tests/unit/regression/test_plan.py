@@ -6,7 +6,7 @@ from gate_worlds_small import Breaks, OneCar, exact, metre_off
 
 from pmbm.errors import InputError
 from pmbm.regression import (
-    Entry,
+    GateEntry,
     Pairs,
     Rules,
     Verdict,
@@ -57,12 +57,12 @@ def test_a_hopeless_spread_is_said():
 
 
 def test_a_pilot_holds_the_first_trials_of_both():
-    pilot = run_pilot("scene", Entry(OneCar(), exact, metre_off), METRIC, seed=0, trials=6)
+    pilot = run_pilot("scene", GateEntry(OneCar(), exact, metre_off), METRIC, seed=0, trials=6)
     assert pilot.pairs.loss == pytest.approx(np.ones(6), abs=0.1)
     assert 0.0 < pilot.spread < 0.1
     assert pilot.seconds > 0
     with pytest.raises(InputError, match=r"the candidate raised in trial \d+.*of 'scene'"):
-        run_pilot("scene", Entry(OneCar(), exact, Breaks), METRIC, seed=0, trials=20)
+        run_pilot("scene", GateEntry(OneCar(), exact, Breaks), METRIC, seed=0, trials=20)
 
 
 def test_verdicts_of_the_plan_are_undecided_one_trial_before():

@@ -9,7 +9,7 @@ import pytest
 from gate_worlds_small import Breaks, OneCar, Shifted, exact, metre_off
 
 from pmbm.errors import BaselineMismatch, InputError
-from pmbm.regression import Entry, Rules, Verdict, gated_metric, load_baseline, run_gate
+from pmbm.regression import GateEntry, Rules, Verdict, gated_metric, load_baseline, run_gate
 from pmbm.regression.stored import StoredBaseline
 from pmbm.regression.wording import Commands, github, in_words, junit
 
@@ -19,7 +19,7 @@ COMMANDS = Commands(lambda name, trial: f"show {name} {trial}", "pmbm gate scene
 
 
 def gate(candidate, baseline=exact, rules=RULES, **options):
-    entries = {"scene": Entry(OneCar(), baseline, candidate)}
+    entries = {"scene": GateEntry(OneCar(), baseline, candidate)}
     return run_gate(entries, options.pop("metric", METRIC), rules, **options)
 
 
@@ -72,7 +72,7 @@ def test_too_few_trials_are_undecided():
 def test_the_report_does_not_depend_on_processes():
     rules = Rules(margin=0.5, alpha=0.05, rarest=0.2, max_trials=20)
     entries = {
-        name: Entry(OneCar(name), exact, candidate)
+        name: GateEntry(OneCar(name), exact, candidate)
         for name, candidate in (("same", exact), ("worse", metre_off), ("breaks", Breaks))
     }
     serial = run_gate(entries, METRIC, rules)
@@ -82,8 +82,8 @@ def test_the_report_does_not_depend_on_processes():
 
 def test_two_scenarios_share_alpha():
     entries = {
-        "a": Entry(OneCar("a"), exact, exact),
-        "b": Entry(OneCar("b"), exact, metre_off),
+        "a": GateEntry(OneCar("a"), exact, exact),
+        "b": GateEntry(OneCar("b"), exact, metre_off),
     }
     report = run_gate(entries, METRIC, RULES)
     assert report.verdict is Verdict.FAIL
@@ -120,7 +120,7 @@ def test_stored_values_of_another_world_are_refused():
     with pytest.raises(BaselineMismatch, match=r"another recording.*--pmbm-update-baselines"):
         gate(exact, baseline=other)
     with pytest.raises(BaselineMismatch, match=r"no stored baseline.*did you mean 'scene'"):
-        run_gate({"scen": Entry(OneCar(), stored(), exact)}, METRIC, RULES)
+        run_gate({"scen": GateEntry(OneCar(), stored(), exact)}, METRIC, RULES)
     with pytest.raises(BaselineMismatch, match="seed is 0, not 5"):
         stored().check(METRIC, 5)
     with pytest.raises(BaselineMismatch, match="metric is ospa, not gospa"):
@@ -190,8 +190,8 @@ def test_a_metric_that_is_better_higher_reads_as_people_know_it():
 
 def test_junit_counts_every_verdict():
     entries = {
-        "good <&>": Entry(OneCar("a"), exact, exact),
-        "bad": Entry(OneCar("b"), exact, metre_off),
+        "good <&>": GateEntry(OneCar("a"), exact, exact),
+        "bad": GateEntry(OneCar("b"), exact, metre_off),
     }
     report = run_gate(entries, METRIC, RULES)
     suite = ElementTree.fromstring(junit(report, COMMANDS, "night")).find("testsuite")

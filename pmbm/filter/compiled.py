@@ -1,0 +1,190 @@
+"""One step of the filter in one compiled call.
+
+What scores, births and detection models say stays outside it: they come as columns.  The plain
+version is `step` of `pmbm.filter.tracker`, box by box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from types import ModuleType
+
+import numpy as np
+
+from pmbm.filter import estimation
+from pmbm.filter.config import PMBMConfig
+from pmbm.filter.density import Density, Globals, Index, Locals, Marks, Mixture, RecycledFrom
+from pmbm.filter.frame import Frame, undetected_in
+from pmbm.filter.hypotheses import branching, clusters
+from pmbm.filter.hypotheses.weights import log_of
+from pmbm.filter.identity.recycling import MOST_OF_ONE
+from pmbm.filter.models import occlusion, rays
+from pmbm.filter.models.sensor import LEAST_VISIBLE_TO_BE_SEEN
+from pmbm.filter.prediction import predict_marks
+from pmbm.filter.reduction import ALIKE, AS_HEAVY, FEW, ReductionStats
+from pmbm.types import FloatArray, Site
+
+_OCCLUSION = (
+    occlusion.IGNORED_EXISTENCE,
+    occlusion.CERTAIN,
+    occlusion.TOUCHING,
+    occlusion.VAGUE,
+    occlusion.MOVES,
+    occlusion.CAR_SD,
+    LEAST_VISIBLE_TO_BE_SEEN,
+    rays.FAR,
+)
+_PARTS = ("predict", "associate", "update", "reduce")
+
+
+def advance(
+    native: ModuleType, model: PMBMConfig, site: Site, density: Density, frame: Frame
+) -> tuple[Density, ReductionStats, Mapping[str, float]]:
+    """The density after a frame, what the reductions removed, and what each part took, s."""
+    local, scan, transition = density.local, frame.scan, frame.transition
+    undetected, dropped = undetected_in(model, density.undetected, frame)
+    marks = predict_marks(local.marks, transition)
+    sensor = model.sensor.over(frame.view, place_by_place=model.birth.place_by_place)
+    hides = model.sensor.occlusion and (model.birth.place_by_place or len(local) > 0)
+    prune, merge_below = model.birth.thresholds(model.reduction.prune_undetected)
+    recycled = undetected.recycled_from
+    limits = model.reduction
+    ppp, columns, table, track_id, settled, origin, removed, pairs, seconds = native.step(
+        (
+            undetected.log_weight,
+            undetected.mean,
+            undetected.cov,
+            *((None, None, None) if recycled is None else recycled.columns()),
+        ),
+        (
+            local.track,
+            local.existence,
+            local.mean,
+            local.cov,
+            local.box,
+            local.label,
+            local.history,
+            marks.source,
+            model.sensor.detection.of_tracks(marks),
+        ),
+        density.hypotheses.columns(),
+        density.track_id,
+        density.detections_seen,
+        density.undetected_settled,
+        (
+            np.ascontiguousarray(scan.position),
+            scan.box,
+            scan.label,
+            scan.evidence,
+            scan.birth,
+            scan.first,
+        ),
+        (
+            sensor.R,
+            sensor.clutter,
+            model.sensor.detection.of_undetected(),
+            (frame.view.pose, frame.view.centre, frame.view.half_angle, frame.view.max_range),
+            hides,
+            sensor.undetected_in_detail,
+            *_polygons(site),
+            sensor.scaled_misses,
+            sensor.box_gain,
+        ),
+        (
+            transition.F,
+            transition.Q,
+            transition.survival,
+            limits.gate,
+            limits.recycle,
+            log_of(prune),
+            merge_below,
+            ALIKE,
+            AS_HEAVY,
+            estimation.ALIKE,
+            limits.max_undetected,
+            FEW,
+            MOST_OF_ONE,
+        ),
+        (
+            limits.max_hypotheses,
+            clusters.largest_table(limits.max_hypotheses),
+            branching.LARGEST_SEARCH,
+            log_of(limits.prune_hypothesis),
+            limits.recycle_below,
+            limits.max_tracks,
+            limits.clustering,
+            limits.split_below,
+            clusters.WORTH_FACTORING,
+        ),
+        _OCCLUSION,
+        occlusion.NODES,
+        rays.COS,
+        rays.SIN,
+    )
+    log_weight, mean, cov, recycled_columns = ppp
+    track, existence, mean_of, cov_of, box, label, history = columns
+    after = Density(
+        Mixture(
+            log_weight,
+            mean,
+            cov,
+            None if recycled_columns is None else RecycledFrom(*recycled_columns),
+        ),
+        Locals(
+            track,
+            existence,
+            mean_of,
+            cov_of,
+            box,
+            label,
+            history,
+            _marks_after(model, marks, frame, *origin),
+        ),
+        Globals(*table),
+        track_id,
+        density.detections_seen + len(scan),
+        settled,
+    )
+    counts = replace(
+        ReductionStats(*removed),
+        undetected_dropped=dropped,
+        pairs_gated=len(local) * len(scan) - pairs,
+    )
+    return after, counts, dict(zip(_PARTS, seconds, strict=True))
+
+
+def _marks_after(
+    model: PMBMConfig,
+    marks: Marks,
+    frame: Frame,
+    missed: int,
+    detected: int,
+    row: Index,
+    measurement: Index,
+    P_D: FloatArray,
+) -> Marks:
+    """Marks of local hypotheses: first those missed, then those detected, then new ones.
+
+    row (missed + detected,) : of the predicted table.  measurement (detected + new,).
+    P_D (missed,) : of those missed.
+    """
+    detection, scan = model.sensor.detection, frame.scan
+    before = marks.take(row[missed:])
+    taken, first = measurement[:detected], measurement[detected:]
+    told = replace(before, source=scan.source_after(before.source, taken))
+    return Marks.joined(
+        detection.if_missed(marks.take(row[:missed]), P_D),
+        detection.if_detected(told, scan.confidence[taken]),
+        detection.first(scan.source_if_first(first), scan.confidence[first]),
+    )
+
+
+@lru_cache(maxsize=8)
+def _polygons(site: Site) -> tuple[Index, FloatArray]:
+    """The site's occluders: where each begins among the corners (V,2) of all."""
+    start = np.zeros(len(site.occluders) + 1, np.intp)
+    np.cumsum([len(one) for one in site.occluders], out=start[1:])
+    corners = np.concatenate([np.zeros((0, 2)), *site.occluders])
+    return start, corners

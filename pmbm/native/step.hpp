@@ -1,0 +1,648 @@
+// One step of the filter for detected objects and for the undetected ones that a scan may show:
+// prediction, association, update and reduction in one pass over the tables.  The plain version is
+// predict(), associate(), update() and reduce() of pmbm/filter, box by box.
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "branch.hpp"
+#include "gate.hpp"
+#include "merge.hpp"
+#include "occlusion.hpp"
+#include "reduce.hpp"
+#include "sensor.hpp"
+#include "tables.hpp"
+
+namespace pmbm {
+
+// log 0 in weights, so that what nothing explains gets the smallest weight there is.
+constexpr double kLogTiny = -700.0;
+constexpr double kNothing = -std::numeric_limits<double>::infinity();
+
+// A Gaussian mixture: log_weight (P,), mean (P,4), cov (P,4,4); and the columns of RecycledFrom, null
+// where nothing was recycled.
+struct MixtureView {
+    const double *log_weight, *mean, *cov;
+    const std::int64_t* track;
+    const double *share, *recycled;
+    std::size_t count;
+};
+
+struct LocalsView {
+    const std::int64_t* track;
+    const double *existence, *mean, *cov, *box;
+    const std::int8_t* label;
+    const std::int32_t* history;
+    // P(class of the source) (H,K), predicted; P_D (H,) in the open.
+    const double *source, *detection;
+    std::size_t count, history_length, classes;
+};
+
+struct ScanView {
+    const double *position, *box;
+    const std::int8_t* label;
+    // evidence (M,K); birth (K,) or (M,K); first (M,2).
+    const double *evidence, *birth, *first;
+    std::size_t count;
+    bool birth_by_place;
+};
+
+struct SensorRules {
+    const double* R;
+    double clutter, detection_undetected;
+    bool looks_everywhere;
+    View view;
+    bool hides, undetected_in_detail;
+    Polygons occluders;
+    bool scaled_misses;
+    double box_gain;
+};
+
+struct StepRules {
+    const double *F, *Q;
+    double survival, gate;
+    BranchLimits branching;
+    ReductionLimits reduction;
+    bool recycle;
+    double log_prune_undetected, merge_below, alike, as_heavy, as_likely;
+    std::int64_t max_undetected, few;
+    double most_of_one;
+};
+
+struct Mixture {
+    Floats log_weight, mean, cov;
+    Ints track;
+    Floats share, recycled;
+
+    std::size_t size() const { return log_weight.size(); }
+
+    void append(const Mixture& other, std::size_t i) {
+        log_weight.push_back(other.log_weight[i]);
+        mean.insert(mean.end(), other.mean.begin() + 4 * i, other.mean.begin() + 4 * (i + 1));
+        cov.insert(cov.end(), other.cov.begin() + 16 * i, other.cov.begin() + 16 * (i + 1));
+        track.push_back(other.track[i]);
+        share.push_back(other.share[i]);
+        recycled.push_back(other.recycled[i]);
+    }
+
+    bool any_recycled() const {
+        return std::any_of(recycled.begin(), recycled.end(), [](auto part) { return part > 0; });
+    }
+};
+
+// What a step leaves: the tables of the density, and where each local hypothesis came from.  Of the
+// kept local hypotheses, the first `missed` are of the rows `from` of the predicted table, missed,
+// the next `detected` took `measurement`, the others are new tracks of `measurement`.
+struct Step {
+    Mixture undetected;
+    Ints track;
+    Floats existence, mean, cov, box;
+    std::vector<std::int8_t> label;
+    std::vector<std::int32_t> history;
+    Table hypotheses;
+    Ints track_id;
+    std::int64_t settled = 0;
+    std::size_t missed = 0, detected = 0;
+    Ints from, measurement;
+    Floats detection;
+    std::int64_t unlikely = 0, pairs = 0, pruned = 0, capped = 0, merged = 0, recycled = 0,
+                 tracks_capped = 0, undetected_pruned = 0, undetected_merged = 0,
+                 undetected_capped = 0;
+    double seconds[4] = {0, 0, 0, 0};
+};
+
+inline double log_sum(double a, double b) {
+    const double top = std::max(a, b);
+    if (top == kNothing) return kNothing;
+    return top + std::log1p(std::exp(std::min(a, b) - top));
+}
+
+// RecycledFrom.merged() for one group of components.
+inline void merge_recycled(const Mixture& mixture, const std::size_t* rows, std::size_t count,
+                           const double* weight, double total, std::int64_t& track,
+                           double& share, double& recycled) {
+    track = -1;
+    share = recycled = 0;
+    struct Part {
+        std::int64_t track;
+        double mass;
+    };
+    std::vector<Part> parts;
+    for (std::size_t i = 0; i < count; ++i) {
+        const double own = weight[i] * mixture.share[rows[i]];
+        recycled += weight[i] * mixture.recycled[rows[i]] / total;
+        if (mixture.track[rows[i]] >= 0 && own > 0) {
+            parts.push_back({mixture.track[rows[i]], own});
+        }
+    }
+    std::stable_sort(parts.begin(), parts.end(),
+                     [](const Part& a, const Part& b) { return a.track < b.track; });
+    double best = -1;
+    for (std::size_t i = 0, end = 0; i < parts.size(); i = end) {
+        double mass = 0;
+        for (end = i; end < parts.size() && parts[end].track == parts[i].track; ++end) {
+            mass += parts[end].mass;
+        }
+        if (mass >= best) {
+            best = mass;
+            track = parts[i].track;
+            share = mass / total;
+        }
+    }
+}
+
+// merge_mixture() of reduction.py.
+inline Mixture merged_mixture(const Mixture& mixture, double threshold, double alike,
+                              double as_heavy) {
+    const auto group = merge_groups(mixture.log_weight.data(), mixture.mean.data(),
+                                    mixture.cov.data(), mixture.size(), threshold, alike, as_heavy);
+    std::vector<std::size_t> order(mixture.size());
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(),
+                     [&](auto a, auto b) { return group[a] < group[b]; });
+    Mixture out;
+    std::vector<double> weight;
+    for (std::size_t i = 0, end = 0; i < order.size(); i = end) {
+        double top = kNothing;
+        for (end = i; end < order.size() && group[order[end]] == group[order[i]]; ++end) {
+            top = std::max(top, mixture.log_weight[order[end]]);
+        }
+        if (end - i == 1) {
+            out.append(mixture, order[i]);
+            continue;
+        }
+        weight.clear();
+        double total = 0;
+        for (auto k = i; k < end; ++k) {
+            weight.push_back(std::exp(mixture.log_weight[order[k]] - top));
+            total += weight.back();
+        }
+        double mean[4] = {0, 0, 0, 0}, cov[16] = {};
+        for (auto k = i; k < end; ++k) {
+            const double* m = mixture.mean.data() + 4 * order[k];
+            for (int a = 0; a < 4; ++a) mean[a] += weight[k - i] / total * m[a];
+        }
+        for (auto k = i; k < end; ++k) {
+            const double *m = mixture.mean.data() + 4 * order[k],
+                         *P = mixture.cov.data() + 16 * order[k];
+            for (int a = 0; a < 4; ++a) {
+                for (int b = 0; b < 4; ++b) {
+                    cov[4 * a + b] += weight[k - i] / total *
+                                      (P[4 * a + b] + (m[a] - mean[a]) * (m[b] - mean[b]));
+                }
+            }
+        }
+        out.log_weight.push_back(top + std::log(total));
+        out.mean.insert(out.mean.end(), mean, mean + 4);
+        out.cov.insert(out.cov.end(), cov, cov + 16);
+        std::int64_t track;
+        double share, recycled;
+        merge_recycled(mixture, order.data() + i, end - i, weight.data(), total, track, share,
+                       recycled);
+        out.track.push_back(track);
+        out.share.push_back(share);
+        out.recycled.push_back(recycled);
+    }
+    return out;
+}
+
+class Stepper {
+ public:
+    Stepper(const MixtureView& ppp, const LocalsView& local, const TableView& table,
+            const std::int64_t* track_id, std::size_t tracks, std::int64_t detections_seen,
+            std::int64_t settled, const ScanView& scan, const SensorRules& sensor,
+            const StepRules& rules, const OcclusionRules& occlusion)
+        : ppp_(ppp), local_(local), table_(table), track_id_(track_id), tracks_(tracks),
+          detections_seen_(detections_seen), settled_(settled), scan_(scan), sensor_(sensor),
+          rules_(rules), occlusion_(occlusion) {}
+
+    Step run() {
+        auto last = std::chrono::steady_clock::now();
+        const auto read = [&](int part) {
+            const auto now = std::chrono::steady_clock::now();
+            out_.seconds[part] = std::chrono::duration<double>(now - last).count();
+            last = now;
+        };
+        predict();
+        read(0);
+        observe();
+        associate();
+        read(1);
+        update();
+        read(2);
+        reduce();
+        read(3);
+        return std::move(out_);
+    }
+
+ private:
+    // Box 1.  The undetected objects come predicted.
+    void predict() {
+        move(local_.mean, local_.cov, local_.count, rules_.F, rules_.Q, mean_, cov_);
+        existence_.resize(local_.count);
+        for (std::size_t h = 0; h < local_.count; ++h) {
+            existence_[h] = local_.existence[h] * rules_.survival;
+        }
+        ppp_mean_.assign(ppp_.mean, ppp_.mean + 4 * ppp_.count);
+        ppp_cov_.assign(ppp_.cov, ppp_.cov + 16 * ppp_.count);
+    }
+
+    // P_D as misses and as detections count it, and the states after a miss.
+    void observe() {
+        const auto H = local_.count, P = ppp_.count;
+        Floats inside(std::max(H, P), 1.0);
+        detection_.resize(H);
+        if (!sensor_.looks_everywhere) {
+            share_inside(mean_.data(), cov_.data(), H, sensor_.view, inside.data());
+        }
+        for (std::size_t h = 0; h < H; ++h) detection_[h] = local_.detection[h] * inside[h];
+        if_detected_ = detection_;
+        ppp_detection_.resize(P);
+        std::fill(inside.begin(), inside.end(), 1.0);
+        if (sensor_.undetected_in_detail && !sensor_.looks_everywhere) {
+            share_inside(ppp_mean_.data(), ppp_cov_.data(), P, sensor_.view, inside.data());
+        }
+        for (std::size_t p = 0; p < P; ++p) {
+            ppp_detection_[p] = sensor_.detection_undetected * inside[p];
+        }
+        ppp_if_detected_ = ppp_detection_;
+        missed_mean_ = mean_;
+        missed_cov_ = cov_;
+        ppp_missed_mean_ = ppp_mean_;
+        ppp_missed_cov_ = ppp_cov_;
+        if (sensor_.hides) hide();
+    }
+
+    void hide() {
+        const auto H = local_.count;
+        const auto held = probability(table_, static_cast<std::int64_t>(H));
+        Floats mass(H), track_existence(tracks_, 0.0);
+        for (std::size_t h = 0; h < H; ++h) {
+            mass[h] = held[h] * existence_[h];
+            track_existence[local_.track[h]] += mass[h];
+        }
+        for (auto& r : track_existence) r = std::min(r, 1.0);
+        const auto best = likeliest(local_.track, mass.data(), H, tracks_, rules_.as_likely);
+        const Shadows shadows(sensor_.view.pose, {mean_.data(), cov_.data()}, local_.box,
+                              local_.track, H, track_existence.data(), best.data(), tracks_,
+                              sensor_.occluders, occlusion_);
+        Floats visible(H);
+        shadows.share_of_bearings(visible.data());
+        for (std::size_t h = 0; h < H; ++h) {
+            const double in_the_open = detection_[h];
+            if (is_vague(cov_.data() + 16 * h, occlusion_)) {
+                const auto glimpse = shadows.of_track(h);
+                visible[h] = glimpse.share();
+                glimpse.if_missed(in_the_open, occlusion_.moves, missed_mean_.data() + 4 * h,
+                                  missed_cov_.data() + 16 * h);
+            }
+            detection_[h] = in_the_open * visible[h];
+            if_detected_[h] = in_the_open * std::max(visible[h], occlusion_.least_visible);
+        }
+        for (std::size_t p = 0; sensor_.undetected_in_detail && p < ppp_.count; ++p) {
+            const double in_the_open = ppp_detection_[p];
+            const auto glimpse =
+                shadows.of_undetected(ppp_mean_.data() + 4 * p, ppp_cov_.data() + 16 * p);
+            const double share = glimpse.share();
+            ppp_detection_[p] = in_the_open * share;
+            ppp_if_detected_[p] = in_the_open * std::max(share, occlusion_.least_visible);
+            glimpse.if_missed(in_the_open, 0.0, ppp_missed_mean_.data() + 4 * p,
+                              ppp_missed_cov_.data() + 16 * p);
+        }
+    }
+
+    // Box 2.
+    void associate() {
+        const auto H = local_.count, M = scan_.count, K = local_.classes;
+        Floats prior(H);
+        for (std::size_t h = 0; h < H; ++h) prior[h] = existence_[h] * if_detected_[h];
+        known_ = std::make_unique<Expected>(mean_.data(), cov_.data(), sensor_.R, prior.data(),
+                                            false, H);
+        gate(known_->view(), scan_.position, M, rules_.gate, row_, measurement_, y_);
+        weigh(*known_, row_, measurement_, y_, pair_weight_);
+        known_->log_height = Floats();
+        for (std::size_t i = 0; i < row_.size(); ++i) {
+            const double* source = local_.source + K * static_cast<std::size_t>(row_[i]);
+            const double* evidence = scan_.evidence + K * static_cast<std::size_t>(measurement_[i]);
+            double ratio = 0;
+            for (std::size_t k = 0; k < K; ++k) ratio += source[k] * evidence[k];
+            pair_weight_[i] += std::max(std::log(ratio), kLogTiny);
+        }
+        missed_existence_.resize(H);
+        Floats log_missed(H);
+        if (sensor_.scaled_misses) {
+            for (std::size_t h = 0; h < H; ++h) {
+                missed_existence_[h] = existence_[h] * (1 - detection_[h]);
+                log_missed[h] = 1 - detection_[h];
+            }
+        } else {
+            missed(existence_.data(), detection_.data(), H, missed_existence_.data(),
+                   log_missed.data());
+        }
+        const double tiny = std::exp(kLogTiny);
+        for (auto& weight : log_missed) weight = std::log(std::max(weight, tiny));
+
+        Floats log_detected(ppp_.count);
+        for (std::size_t p = 0; p < ppp_.count; ++p) {
+            log_detected[p] = ppp_.log_weight[p] + std::log(ppp_if_detected_[p]);
+        }
+        first_ = std::make_unique<Expected>(ppp_mean_.data(), ppp_cov_.data(), sensor_.R,
+                                            log_detected.data(), true, ppp_.count);
+        log_e_ = log_density(first_->view(), first_->log_height.data(), scan_.position, M,
+                             rules_.gate);
+        const double log_clutter = sensor_.clutter > 0 ? std::log(sensor_.clutter) : kNothing;
+        log_birth_.resize(M);
+        log_new_.resize(M);
+        for (std::size_t j = 0; j < M; ++j) {
+            const double *evidence = scan_.evidence + K * j,
+                         *birth = scan_.birth + (scan_.birth_by_place ? K * j : 0);
+            double ratio = 0;
+            for (std::size_t k = 0; k < K; ++k) ratio += evidence[k] * birth[k];
+            log_birth_[j] = log_e_[j] + std::log(scan_.first[2 * j]) + std::log(ratio);
+            log_new_[j] = std::max(
+                log_sum(log_birth_[j], log_clutter + std::log(scan_.first[2 * j + 1])), kLogTiny);
+        }
+        children_ = branched(table_,
+                             {row_.data(), measurement_.data(), pair_weight_.data(),
+                              static_cast<std::int64_t>(row_.size())},
+                             log_missed.data(), static_cast<std::int64_t>(H), log_new_.data(),
+                             static_cast<std::int64_t>(M), rules_.branching, out_.unlikely);
+        out_.pairs = static_cast<std::int64_t>(row_.size());
+        pair_weight_ = Floats();
+    }
+
+    // Box 3: which candidates are used, and what decides which of them stay: existence and track.
+    // The states are worked out when it is known which stay.
+    void update() {
+        const auto H = static_cast<std::int64_t>(local_.count);
+        const auto n = static_cast<std::int64_t>(row_.size());
+        const auto M = static_cast<std::int64_t>(scan_.count);
+        children_.member =
+            used(children_.member.data(), children_.member.size(), {H, n, M}, runs_);
+        for (const auto h : runs_[0]) {
+            track_.push_back(local_.track[h]);
+            existence_after_.push_back(missed_existence_[h]);
+        }
+        for (const auto pair : runs_[1]) {
+            track_.push_back(local_.track[row_[pair]]);
+            existence_after_.push_back(1.0);
+        }
+        for (const auto j : runs_[2]) {
+            track_.push_back(static_cast<std::int64_t>(tracks_) + j);
+            existence_after_.push_back(std::exp(log_birth_[j] - log_new_[j]));
+        }
+        ids_.assign(track_id_, track_id_ + tracks_);
+        for (std::int64_t j = 0; j < M; ++j) ids_.push_back(detections_seen_ + j);
+        if (ppp_.track && !runs_[2].empty()) resume();
+        auto& ppp = out_.undetected;
+        ppp.log_weight.resize(ppp_.count);
+        for (std::size_t p = 0; p < ppp_.count; ++p) {
+            ppp.log_weight[p] = ppp_.log_weight[p] + std::log1p(-ppp_detection_[p]);
+        }
+        if (ppp_.track) {
+            ppp.track.assign(ppp_.track, ppp_.track + ppp_.count);
+            ppp.share.assign(ppp_.share, ppp_.share + ppp_.count);
+            ppp.recycled.assign(ppp_.recycled, ppp_.recycled + ppp_.count);
+        } else {
+            ppp.track.assign(ppp_.count, -1);
+            ppp.share.assign(ppp_.count, 0.0);
+            ppp.recycled.assign(ppp_.count, 0.0);
+        }
+    }
+
+    void resume() {
+        const auto& fresh = runs_[2];
+        Floats z(2 * fresh.size()), log_e(fresh.size()), r(fresh.size());
+        for (std::size_t i = 0; i < fresh.size(); ++i) {
+            const auto j = static_cast<std::size_t>(fresh[i]);
+            z[2 * i] = scan_.position[2 * j];
+            z[2 * i + 1] = scan_.position[2 * j + 1];
+            log_e[i] = log_e_[j];
+            r[i] = std::exp(log_birth_[j] - log_new_[j]);
+        }
+        Ints origins;
+        Floats shares;
+        explained(first_->view(), first_->log_height.data(), ppp_.track, ppp_.share, z.data(),
+                  log_e.data(), fresh.size(), rules_.gate, origins, shares);
+        origins = resumed(std::move(origins), shares, rules_.most_of_one, r.data(), track_id_,
+                          tracks_);
+        for (std::size_t i = 0; i < fresh.size(); ++i) {
+            if (origins[i] >= 0) ids_[tracks_ + static_cast<std::size_t>(fresh[i])] = origins[i];
+        }
+    }
+
+    // Box 4, and the states of what stays.
+    void reduce() {
+        const auto candidates = track_.size();
+        auto reduced = pmbm::reduced(view_of(children_), existence_after_.data(), track_.data(),
+                                     candidates, ids_.size(), rules_.reduction);
+        children_ = Table();
+        out_.pruned = reduced.pruned;
+        out_.capped = reduced.capped;
+        out_.merged = reduced.merged;
+        out_.tracks_capped = reduced.tracks_capped;
+        out_.recycled = static_cast<std::int64_t>(reduced.recycled.size());
+        fuse_new(reduced);
+        keep(reduced);
+        auto& ppp = out_.undetected;
+        ppp.mean = std::move(ppp_missed_mean_);
+        ppp.cov = std::move(ppp_missed_cov_);
+        if (rules_.recycle) {
+            for (std::size_t i = 0; i < reduced.recycled.size(); ++i) {
+                recycle(static_cast<std::size_t>(reduced.recycled[i]), reduced.probability[i]);
+            }
+        }
+        out_.hypotheses = std::move(reduced.table);
+        for (const auto t : reduced.compact.tracks) out_.track_id.push_back(ids_[t]);
+        reduce_undetected();
+    }
+
+    // States of new tracks, of those that stay or are recycled.
+    void fuse_new(const ReducedTable& reduced) {
+        const auto first_new = static_cast<std::int64_t>(runs_[0].size() + runs_[1].size());
+        fused_at_.assign(runs_[2].size(), -1);
+        Ints wanted;
+        const auto want = [&](std::int64_t row) {
+            if (row < first_new) return;
+            auto& at = fused_at_[static_cast<std::size_t>(row - first_new)];
+            if (at >= 0) return;
+            at = static_cast<std::int64_t>(wanted.size());
+            wanted.push_back(runs_[2][static_cast<std::size_t>(row - first_new)]);
+        };
+        for (const auto row : reduced.compact.rows) want(row);
+        for (const auto row : reduced.recycled) want(row);
+        const auto n = wanted.size();
+        Floats z(2 * n), log_e(n);
+        for (std::size_t i = 0; i < n; ++i) {
+            const auto j = static_cast<std::size_t>(wanted[i]);
+            z[2 * i] = scan_.position[2 * j];
+            z[2 * i + 1] = scan_.position[2 * j + 1];
+            log_e[i] = log_e_[j];
+        }
+        new_mean_.resize(4 * n);
+        new_cov_.resize(16 * n);
+        unexplained(z.data(), sensor_.R, n, new_mean_.data(), new_cov_.data());
+        if (n) {
+            fuse(first_->view(), first_->log_height.data(), ppp_mean_.data(), ppp_cov_.data(),
+                 sensor_.R, z.data(), log_e.data(), n, rules_.gate, new_mean_.data(),
+                 new_cov_.data());
+        }
+    }
+
+    // The state of a candidate: mean (4), cov (16).
+    void state(std::size_t candidate, double* mean, double* cov) const {
+        const auto missed = runs_[0].size(), detected = runs_[1].size();
+        if (candidate < missed) {
+            const auto h = static_cast<std::size_t>(runs_[0][candidate]);
+            std::copy_n(missed_mean_.data() + 4 * h, 4, mean);
+            std::copy_n(missed_cov_.data() + 16 * h, 16, cov);
+        } else if (candidate < missed + detected) {
+            const auto pair = static_cast<std::size_t>(runs_[1][candidate - missed]);
+            const auto h = static_cast<std::size_t>(row_[pair]);
+            const Correction c(cov_.data() + 16 * h, known_->l11[h], known_->l21[h],
+                               known_->l22[h], sensor_.R);
+            for (int a = 0; a < 4; ++a) {
+                mean[a] = mean_[4 * h + a] + c.W[2 * a] * y_[2 * pair] +
+                          c.W[2 * a + 1] * y_[2 * pair + 1];
+            }
+            std::copy_n(c.after, 16, cov);
+        } else {
+            const auto at = static_cast<std::size_t>(fused_at_[candidate - missed - detected]);
+            std::copy_n(new_mean_.data() + 4 * at, 4, mean);
+            std::copy_n(new_cov_.data() + 16 * at, 16, cov);
+        }
+    }
+
+    void keep(const ReducedTable& reduced) {
+        const auto& rows = reduced.compact.rows;
+        const auto missed = runs_[0].size(), detected = runs_[1].size(),
+                   L = local_.history_length;
+        out_.track = reduced.compact.track;
+        out_.mean.resize(4 * rows.size());
+        out_.cov.resize(16 * rows.size());
+        out_.box.resize(5 * rows.size());
+        out_.history.resize(L * rows.size());
+        for (std::size_t i = 0; i < rows.size(); ++i) {
+            const auto candidate = static_cast<std::size_t>(rows[i]);
+            out_.existence.push_back(existence_after_[candidate]);
+            state(candidate, out_.mean.data() + 4 * i, out_.cov.data() + 16 * i);
+            double* box = out_.box.data() + 5 * i;
+            std::int32_t* history = out_.history.data() + L * i;
+            std::int64_t h = -1, j = -1;
+            if (candidate < missed) {
+                h = runs_[0][candidate];
+                ++out_.missed;
+                out_.from.push_back(h);
+                out_.detection.push_back(detection_[h]);
+            } else if (candidate < missed + detected) {
+                const auto pair = runs_[1][candidate - missed];
+                h = row_[pair];
+                j = measurement_[pair];
+                ++out_.detected;
+                out_.from.push_back(h);
+                out_.measurement.push_back(j);
+            } else {
+                j = runs_[2][candidate - missed - detected];
+                out_.measurement.push_back(j);
+            }
+            if (j >= 0) std::copy_n(scan_.box + 5 * j, 5, box);
+            if (h >= 0 && j < 0) std::copy_n(local_.box + 5 * h, 5, box);
+            if (h >= 0 && j >= 0 && sensor_.box_gain != 1) {
+                const double* before = local_.box + 5 * h;
+                for (int a = 0; a < 4; ++a) {
+                    box[a] = before[a] + sensor_.box_gain * (box[a] - before[a]);
+                }
+            }
+            out_.label.push_back(j >= 0 ? scan_.label[j] : local_.label[h]);
+            for (std::size_t step = 0; L && step + 1 < L; ++step) {
+                history[step] = h >= 0 ? local_.history[L * h + step + 1] : kBefore;
+            }
+            if (L) history[L - 1] = j >= 0 ? static_cast<std::int32_t>(j) : kMissed;
+        }
+    }
+
+    void recycle(std::size_t candidate, double probability) {
+        auto& ppp = out_.undetected;
+        double mean[4], cov[16];
+        state(candidate, mean, cov);
+        ppp.log_weight.push_back(std::log(probability * existence_after_[candidate]));
+        ppp.mean.insert(ppp.mean.end(), mean, mean + 4);
+        ppp.cov.insert(ppp.cov.end(), cov, cov + 16);
+        ppp.track.push_back(ids_[static_cast<std::size_t>(track_[candidate])]);
+        ppp.share.push_back(1.0);
+        ppp.recycled.push_back(1.0);
+    }
+
+    void reduce_undetected() {
+        auto& ppp = out_.undetected;
+        Mixture kept;
+        for (std::size_t p = 0; p < ppp.size(); ++p) {
+            if (ppp.log_weight[p] > rules_.log_prune_undetected) kept.append(ppp, p);
+        }
+        out_.undetected_pruned = static_cast<std::int64_t>(ppp.size() - kept.size());
+        out_.settled = settled_;
+        const auto before = static_cast<std::int64_t>(kept.size());
+        if (before > 2 * settled_ + rules_.few) {
+            // Merging takes longer than what it saves until the mixture has grown.
+            if (rules_.merge_below > 0 && before > 1) {
+                kept = merged_mixture(kept, rules_.merge_below, rules_.alike, rules_.as_heavy);
+            }
+            out_.settled = static_cast<std::int64_t>(kept.size());
+            out_.undetected_merged = before - out_.settled;
+        }
+        const auto most = static_cast<std::size_t>(rules_.max_undetected);
+        if (kept.size() > most) {
+            std::vector<std::size_t> order(kept.size());
+            std::iota(order.begin(), order.end(), 0);
+            std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) {
+                return kept.log_weight[a] > kept.log_weight[b];
+            });
+            out_.undetected_capped = static_cast<std::int64_t>(kept.size() - most);
+            order.resize(most);
+            std::sort(order.begin(), order.end());
+            Mixture heaviest;
+            for (const auto p : order) heaviest.append(kept, p);
+            kept = std::move(heaviest);
+        }
+        ppp = std::move(kept);
+    }
+
+    static constexpr std::int32_t kMissed = -1, kBefore = -2;
+
+    const MixtureView ppp_;
+    const LocalsView local_;
+    const TableView table_;
+    const std::int64_t* track_id_;
+    std::size_t tracks_;
+    std::int64_t detections_seen_, settled_;
+    const ScanView scan_;
+    const SensorRules& sensor_;
+    const StepRules& rules_;
+    const OcclusionRules& occlusion_;
+
+    // Predicted: local hypotheses and undetected objects, and both after a miss.
+    Floats mean_, cov_, existence_, ppp_mean_, ppp_cov_;
+    Floats detection_, if_detected_, ppp_detection_, ppp_if_detected_;
+    Floats missed_mean_, missed_cov_, missed_existence_, ppp_missed_mean_, ppp_missed_cov_;
+    // Gated pairs, and first detections.
+    std::unique_ptr<Expected> known_, first_;
+    Ints row_, measurement_;
+    Floats y_, pair_weight_, log_e_, log_birth_, log_new_;
+    // Candidates: runs of missed, detected and new ones that are used.
+    Table children_;
+    std::vector<Ints> runs_;
+    Ints track_, ids_, fused_at_;
+    Floats existence_after_, new_mean_, new_cov_;
+    Step out_;
+};
+
+}  // namespace pmbm
