@@ -27,7 +27,8 @@ class Reduction:
         hold 30 max_hypotheses entries together, one entry a track, or 6000 if that is more; and so
         does one that a single frame gives more than 300,000 ways to pair tracks and detections.
     prune_hypothesis : global hypotheses of a weight up to this are dropped.
-    recycle_below : Bernoullis of an existence below this leave the mixture.
+    recycle_below : Bernoullis of an existence below this leave the mixture.  Where clutter is dense
+        and objects are often missed, .1 keeps the number of objects right (docs/presets.md).
     recycle : whether these become PPP components, or are forgotten.
     prune_undetected : PPP components of a weight up to this are dropped.
     max_tracks, max_undetected : tracks and PPP components kept.

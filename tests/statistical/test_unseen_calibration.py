@@ -10,6 +10,7 @@ from scipy import stats
 
 from pmbm import Detections, Site
 from pmbm.filter import BroadBirth, PMBMTracker
+from pmbm.filter.models.view import View
 from pmbm.geometry import points_in_polygon
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
@@ -211,6 +212,59 @@ def test_the_expected_number_of_undetected_objects_in_view_is_calibrated(
         ok,
     )
     assert ok
+
+
+DENSE_SITE = Site(max_range=30.0)
+DENSE = {
+    "birth": BroadBirth(rate=3.0, initial=9.0),
+    "survival.probability": 0.995,
+    "sensor.occlusion": False,
+    "sensor.detection.probability": 0.6,
+    "sensor.clutter_rate": 0.0079 * np.pi * 30.0**2,
+}
+"""Some 22 false detections a frame among half a dozen objects, of which each is often missed."""
+REDUCTIONS = {
+    "recycled below .01": ({}, False),
+    "recycled below .01, 2000 hypotheses": ({"reduction.max_hypotheses": 2000}, False),
+    "recycled below .1": ({"reduction.recycle_below": 0.1}, True),
+}
+"""What the tracker keeps; whether its count is promised."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REDUCTIONS)
+def test_the_number_of_objects_in_dense_clutter(name, verified):
+    """All objects in view, detected or not, expected and there, on the filter's own model."""
+    changes, promised = REDUCTIONS[name]
+    truth, believed = model(**DENSE), model(**{**DENSE, **changes})
+    view = View.of(DENSE_SITE, np.zeros(3))
+
+    def seen_share(frame, x, y):
+        return in_range(DENSE_SITE, x, y)
+
+    counts = []
+    for seed in REPORTING[:30]:
+        tracker = PMBMTracker(believed, DENSE_SITE)
+        scene = lives(truth, seed, DENSE_SITE, seen_share, in_view_alone=True)
+        for frame, (state, _, z) in enumerate(scene):
+            tracker.step(detections(DT * frame, z))
+            if frame in LOOKS:
+                local, ppp = tracker.density.local, tracker.density.undetected
+                existence = tracker.density.hypothesis_probability() * local.existence
+                expected = existence @ view.share_inside(local.mean, local.cov)
+                expected += np.exp(ppp.log_weight) @ view.share_inside(ppp.mean, ppp.cov)
+                counts.append((expected, seen_share(frame, *state[:, :2].T).sum()))
+    expected, there = np.mean(counts, axis=0)
+    ok = bool(abs(expected / there - 1) <= 0.1)
+    verified(
+        "dense_count",
+        f"objects in view, P_D .6, .0079 false detections per m2, {name}: expected / true number "
+        f"({expected:.2f} / {there:.2f})",
+        float(expected / there),
+        [0.9, 1.1],
+        ok if promised else "report",
+    )
+    assert ok or not promised
 
 
 WRONG = {
