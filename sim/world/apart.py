@@ -72,6 +72,8 @@ def first_meeting(path: Trajectory, other: Trajectory, gap: float) -> int | None
     near = np.flatnonzero(
         np.hypot(offset[:, 0], offset[:, 1]) < _radius(path) + _radius(other) + gap
     )
+    if len(near) == 0:
+        return None
     apart = separation(
         offset[near],
         path.yaw[own][near],

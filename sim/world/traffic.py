@@ -24,9 +24,9 @@ from pmbm.sim.world.highway.fast_road import adopt
 from pmbm.sim.world.roads import LaneIndex, Network, lay
 from pmbm.sim.world.scripted import own_stream
 from pmbm.sim.world.trajectory import GROUP, REACH_MARGIN, Trajectory
-from pmbm.types import FloatArray
+from pmbm.types import BoolArray, FloatArray, IntArray
 
-Hook = Callable[[int], None]
+Hook = Callable[[int], bool | None]
 _Form = TypeVar("_Form")
 
 CLEARANCE = 15.0
@@ -37,7 +37,7 @@ CLEARANCE = 15.0
 class Traffic:
     """A road full of vehicles, and what happens on it between ticks.
 
-    hooks : called with the tick's number before it is recorded.
+    hooks : called with the tick's number before it is recorded, until they say True: done.
     named : vehicles that have a name, and so an id, of their own.
     """
 
@@ -61,21 +61,65 @@ class Traffic:
         if gone:
             self.road.vehicles = [v for v in self.road.vehicles if v not in gone]
 
+    def between_ticks(self, tick: int) -> None:
+        """Run the hooks before a tick is recorded."""
+        self.hooks = [hook for hook in self.hooks if not hook(tick)]
+
     def step(self) -> None:
         self.road.act()
         self.road.step(1.0 / self.rate)
 
 
 @dataclass(eq=False)
-class _Path:
-    """What is written down of one vehicle while it drives."""
+class _Log:
+    """What is written down while the clock runs: a row for each vehicle and tick."""
 
-    vehicle: Vehicle
-    id: int
-    name: str
-    first: int
-    rows: list[tuple[float, float, float, bool]] = field(default_factory=list)
-    seen: bool = False
+    number: dict[Vehicle, int] = field(default_factory=dict)
+    """Of the vehicles in order of their first sight, held to the end: addresses are reused."""
+    first: list[int] = field(default_factory=list)
+    seen: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
+    """Of each: its first tick, and whether it has been in range."""
+    rows: list[IntArray] = field(default_factory=list)
+    states: list[FloatArray] = field(default_factory=list)
+    """Of each tick: the vehicles' numbers, and x, y, heading and crashed (N,4)."""
+
+    def write(
+        self, tick: int, vehicles: list[Vehicle], sensor: FloatArray, max_range: float
+    ) -> set[Vehicle]:
+        """Write vehicles down, and return those that were in range and have left for good."""
+        for vehicle in vehicles:
+            if vehicle not in self.number:
+                self.number[vehicle] = len(self.number)
+                self.first.append(tick)
+                self.seen = np.append(self.seen, False)
+        if not vehicles:
+            return set()
+        rows = np.array([self.number[vehicle] for vehicle in vehicles])
+        state = np.empty((len(vehicles), 4))
+        state[:, :2] = np.concatenate([v.position for v in vehicles]).reshape(-1, 2)
+        state[:, 2] = [v.heading for v in vehicles]
+        state[:, 1:3] *= -1
+        state[:, 3] = [v.crashed for v in vehicles]
+        self.rows.append(rows)
+        self.states.append(state)
+        distance = np.hypot(state[:, 0] - sensor[0], state[:, 1] - sensor[1])
+        self.seen[rows] |= distance <= max_range
+        gone = self.seen[rows] & (distance > max_range + REACH_MARGIN)
+        return {vehicles[k] for k in np.flatnonzero(gone).tolist()}
+
+    def paths(self, traffic: Traffic) -> list[Trajectory]:
+        """The path of every vehicle."""
+        if not self.rows:
+            return []
+        rows = np.concatenate(self.rows)
+        states = np.concatenate(self.states)[np.argsort(rows, kind="stable")]
+        tables = np.split(states, np.cumsum(np.bincount(rows))[:-1])
+        return [
+            _trajectory(traffic, vehicle, number, first, table)
+            for (vehicle, number), first, table in zip(
+                self.number.items(), self.first, tables, strict=True
+            )
+        ]
 
 
 def drive(
@@ -83,41 +127,25 @@ def drive(
 ) -> tuple[list[Trajectory], FloatArray]:
     """Run the clock and write down every vehicle but the ego, in our world frame.
 
-    Vehicles are told apart by reference, held to the end: the addresses of dead ones are reused.
     One that has been within `max_range` of the sensor and has left for good is taken off the road.
 
     sensor (ticks,3) : its poses where no ego carries it.
     Returns the paths and the sensor's poses (ticks,3).
     """
-    paths: dict[Vehicle, _Path] = {}
+    log = _Log()
     poses = np.array(sensor)
     for tick in range(-warmup_ticks, ticks):
         if tick > -warmup_ticks:
             traffic.step()
-        for hook in traffic.hooks:
-            hook(tick)
+        traffic.between_ticks(tick)
         if tick < 0:
             continue
         if traffic.ego is not None:
             x, y = traffic.ego.position
             poses[tick] = x, -y, wrap_angle(-float(traffic.ego.heading))
-        gone = set()
-        for vehicle in traffic.road.vehicles:
-            if vehicle is traffic.ego:
-                continue
-            path = paths.get(vehicle)
-            if path is None:
-                number = len(paths)
-                identity = traffic.named.get(vehicle, (number, f"vehicle:{number}"))
-                path = paths[vehicle] = _Path(vehicle, *identity, first=tick)
-            x, y = vehicle.position
-            path.rows.append((x, -y, -float(vehicle.heading), bool(vehicle.crashed)))
-            distance = np.hypot(x - poses[tick, 0], -y - poses[tick, 1])
-            path.seen |= bool(distance <= max_range)
-            if path.seen and distance > max_range + REACH_MARGIN:
-                gone.add(vehicle)
-        traffic.remove(gone)
-    return [_trajectory(path, traffic.heights) for path in paths.values()], poses
+        others = [vehicle for vehicle in traffic.road.vehicles if vehicle is not traffic.ego]
+        traffic.remove(log.write(tick, others, poses[tick], max_range))
+    return log.paths(traffic), poses
 
 
 def obstacles(traffic: Traffic) -> list[FloatArray]:
@@ -144,19 +172,18 @@ def _outline(lane: AbstractLane) -> FloatArray:
     return np.array(left + right[::-1], dtype=np.float64)
 
 
-def _trajectory(path: _Path, heights: dict[Vehicle, float]) -> Trajectory:
-    table = np.array(path.rows, dtype=np.float64)
-    label = label_of(path.vehicle)
+def _trajectory(
+    traffic: Traffic, vehicle: Vehicle, number: int, first: int, table: FloatArray
+) -> Trajectory:
+    object_id, name = traffic.named.get(vehicle, (number, f"vehicle:{number}"))
+    label = label_of(vehicle)
+    height = traffic.heights.get(vehicle, label.default_height)
     return Trajectory(
-        id=path.id,
-        name=path.name,
+        id=object_id,
+        name=name,
         label=label,
-        size=(
-            float(path.vehicle.LENGTH),
-            float(path.vehicle.WIDTH),
-            heights.get(path.vehicle, label.default_height),
-        ),
-        first=path.first,
+        size=(float(vehicle.LENGTH), float(vehicle.WIDTH), height),
+        first=first,
         position=table[:, :2],
         yaw=table[:, 2],
         crashed=table[:, 3] > 0,
@@ -312,7 +339,7 @@ def _enter(
     full_name = name if actor.count == 1 else f"{name}:{copy}"
     entered: list[Vehicle] = []
 
-    def hook(tick: int) -> None:
+    def hook(tick: int) -> bool:
         if not entered and (tick >= born or actor.spawn == 0):
             vehicle = _place(actor, roads, traffic.road, luck, copy * actor.spacing)
             # One that arrives in running traffic waits until its place is free.
@@ -322,6 +349,7 @@ def _enter(
                 _command(actor, traffic, vehicle)
         if entered and actor.despawn is not None and tick == round(actor.despawn * traffic.rate):
             traffic.remove({entered[0]})
+        return bool(entered) and actor.despawn is None
 
     traffic.hooks.append(hook)
 
@@ -330,14 +358,15 @@ def _command(driver: Driver, traffic: Traffic, vehicle: Vehicle) -> None:
     for command in driver.commands:
         due = round(command.time * traffic.rate)
 
-        def hook(tick: int, command: Any = command, due: int = due) -> None:
+        def hook(tick: int, command: Any = command, due: int = due) -> bool:
             if tick != due:
-                return
+                return tick > due
             if command.lane is not None:
                 start, end, _ = vehicle.target_lane_index
                 vehicle.target_lane_index = (start, end, command.lane)
             if command.speed is not None:
                 vehicle.target_speed = max(command.speed, 0.1)
+            return True
 
         traffic.hooks.append(hook)
 

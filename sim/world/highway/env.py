@@ -138,6 +138,8 @@ def make_environment(
         "simulation_frequency": rate,
         "policy_frequency": 1,
         "other_vehicles_type": vehicle_type,
+        # Of nothing: no agent looks, and looking costs more than making the world.
+        "observation": {"type": "AttributesObservation", "attributes": []},
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,13 +54,7 @@ def _kind(cls: Any) -> Any:
     return None
 
 
-def _not_zero(x: float) -> float:
-    if abs(x) > 1e-2:
-        return x
-    return 1e-2 if x >= 0 else -1e-2
-
-
-def _all_not_zero(x: FloatArray) -> FloatArray:
+def _not_zero(x: FloatArray) -> FloatArray:
     return np.where(np.abs(x) > 1e-2, x, np.where(x >= 0, 1e-2, -1e-2))
 
 
@@ -126,7 +121,7 @@ class Fleet:
 
         Raises KeyError or TypeError where it names none of the table's.
         """
-        names = [getattr(vehicle, name) for vehicle in self.vehicles]
+        names = list(map(attrgetter(name), self.vehicles))
         known = self._lanes.get(name)
         if known is None or known[0] != names:
             columns = [table.column[tuple(lane)] for lane in names]
@@ -149,7 +144,7 @@ class Places:
     def hold(self, road: FastRoad) -> bool:
         """Whether everything is still where it was."""
         things = road.fleet.things
-        return things == self.things and np.array_equal(self.position, positions(things))
+        return things is self.things and np.array_equal(self.position, positions(things))
 
 
 def positions(things: list[Any]) -> FloatArray:
@@ -243,12 +238,15 @@ class Act:
             return False
         lane, target = np.array(self.lane), np.array(self.target)
         crashed = np.array([vehicle.crashed for vehicle in self.vehicles], bool)
-        timer = column_of([getattr(vehicle, "timer", math.nan) for vehicle in self.vehicles])
+        timer = np.full(len(self.vehicles), math.nan)
+        timer[fleet.driver] = [vehicle.timer for vehicle in fleet.drivers]
         past_end = self.places.along[np.arange(len(target)), target] > (
             self.table.length[target] - REACH / 2
         )
         idle = fleet.driver & crashed
-        changes = fleet.changer & ((lane != target) | (timer > fleet.delay) | past_end)
+        due = fleet.changer & (timer > fleet.delay)
+        changes = due | (fleet.changer & ((lane != target) | past_end))
+        self.gains = self._gains(np.flatnonzero(due & ~idle))
         for row in np.flatnonzero((past_end | changes) & ~idle).tolist():
             vehicle = self.vehicles[row]
             if past_end[row]:
@@ -292,11 +290,7 @@ class Act:
         vehicle.timer = 0
         for side in self.road.network.side_lanes(vehicle.lane_index):
             column = self.table.column[side]
-            if (
-                self._reachable(row, column)
-                and abs(vehicle.speed) >= 1
-                and self._worth_it(row, vehicle, side, column)
-            ):
+            if (row, column) in self.gains and self._worth_it(row, vehicle, side, column):
                 self._aim(row, vehicle, side)
 
     def _perhaps_abort(self, row: int, vehicle: Vehicle) -> None:
@@ -310,34 +304,45 @@ class Act:
                     self._aim(row, vehicle, vehicle.lane_index)
                     return
 
-    def _reachable(self, row: int, column: int) -> bool:
-        if self.table.lanes[column].forbidden:
-            return False
-        along, aside = self.places.along[row, column], self.places.aside[row, column]
-        return bool(
-            abs(aside) <= 2 * self.table.lanes[column].width
-            and 0 <= along < self.table.length[column] + REACH
+    def _gains(self, rows: IntArray) -> dict[tuple[int, int], list[float]]:
+        """What MOBIL weighs where a vehicle may change to a lane beside its own, by row and column:
+        the accelerations of the one behind there then and now, its own, and of the one left."""
+        network, table, places = self.road.network, self.table, self.places
+        pairs = [
+            (row, table.column[side])
+            for row in rows.tolist()
+            if abs(self.speed[row]) >= 1
+            for side in network.side_lanes(self.vehicles[row].lane_index)
+        ]
+        pairs = [
+            (row, column)
+            for row, column in pairs
+            if not table.lanes[column].forbidden
+            and abs(places.aside[row, column]) <= 2 * table.lanes[column].width
+            and 0 <= places.along[row, column] < table.length[column] + REACH
+        ]
+        if not pairs:
+            return {}
+        own, column = np.array(pairs).T
+        lane = np.array(self.lane)[own]
+        front, rear = self.neighbours(np.tile(own, 2), np.concatenate([column, lane]))
+        (ahead, old_ahead), (behind, old_behind) = np.split(front, 2), np.split(rear, 2)
+        weighed = self._accelerations(
+            np.tile(own, 6),
+            np.concatenate([behind, behind, own, own, old_behind, old_behind]),
+            np.concatenate([own, ahead, ahead, old_ahead, own, old_ahead]),
         )
+        return dict(zip(pairs, weighed.reshape(6, -1).T.tolist(), strict=True))
 
     def _worth_it(self, row: int, vehicle: Vehicle, side: Any, column: int) -> bool:
         """MOBIL: whether a change gains more than it costs, and brakes nobody unsafely."""
-        lane = self.lane[row]
-        (ahead, old_ahead), (behind, old_behind) = (
-            found.tolist()
-            for found in self.neighbours(np.array([row, row]), np.array([column, lane]))
-        )
-        behind_then = self._acceleration(vehicle, behind, row)
+        behind_then, behind_now, own_then, own_now, left_now, left_then = self.gains[row, column]
         if behind_then < -vehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED:
             return False
-        own_then = self._acceleration(vehicle, row, ahead)
         if vehicle.route and vehicle.route[0][2] is not None:
             aim = vehicle.target_lane_index[2]
             right_way = np.sign(side[2] - aim) == np.sign(vehicle.route[0][2] - aim)
             return bool(right_way) and not own_then < -vehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED
-        behind_now = self._acceleration(vehicle, behind, ahead)
-        own_now = self._acceleration(vehicle, row, old_ahead)
-        left_now = self._acceleration(vehicle, old_behind, row)
-        left_then = self._acceleration(vehicle, old_behind, old_ahead)
         gain = (
             own_then
             - own_now
@@ -345,21 +350,19 @@ class Act:
         )
         return not gain < vehicle.LANE_CHANGE_MIN_ACC_GAIN
 
-    def _acceleration(self, model: Vehicle, row: int, front: int) -> float:
-        """What `model` takes to be the acceleration of a vehicle behind another; rows or -1."""
-        if row < 0 or row >= len(self.vehicles):
-            return 0
-        vehicle, lane = self.vehicles[row], self.lane[row]
-        target, limit = vehicle.target_speed, self.table.limit[lane]
-        if limit is not None:
-            target = min(max(target, 0), limit)
-        ratio = max(self.speed[row], 0) / abs(_not_zero(target))
-        value = model.COMFORT_ACC_MAX * (1 - float(np.power(ratio, model.DELTA)))
-        if front >= 0:
-            gap = float(self.places.along[front, lane]) - float(self.places.along[row, lane])
-            share = self._wanted_gap(model, row, front) / _not_zero(gap)
-            value -= model.COMFORT_ACC_MAX * float(np.power(share, 2))
-        return value
+    def _accelerations(self, model: IntArray, row: IntArray, front: IntArray) -> FloatArray:
+        """What the drivers `model` take to be the accelerations of things behind others; 0 of what
+        is no vehicle, and of nobody."""
+        result = np.zeros(len(row))
+        some = np.flatnonzero((row >= 0) & (row < len(self.vehicles)))
+        model, row, front = model[some], row[some], front[some]
+        fleet, lane = self.fleet, np.array(self.lane)[row]
+        aim = column_of([self.vehicles[k].target_speed for k in row.tolist()])
+        aim = np.minimum(np.maximum(aim, self.table.lowest[lane]), self.table.highest[lane])
+        ratio = np.maximum(self.speeds[row], 0) / np.abs(_not_zero(aim))
+        free = fleet.comfort[model] * (1 - np.power(ratio, fleet.exponent[model]))
+        result[some] = self._behind(model, row, front, lane, free)
+        return result
 
     def _wanted_gap(self, model: Vehicle, row: int, front: int) -> float:
         brake = -model.COMFORT_ACC_MAX * model.COMFORT_ACC_MIN
@@ -393,7 +396,7 @@ class Act:
         speed, heading = self.speeds[rows], self.heading[rows]
         ahead = along + speed * fleet.pursuit[rows]
         future = self.table.headings_of(target, ahead)
-        pace = _all_not_zero(speed)
+        pace = _not_zero(speed)
         command = np.arcsin(_clip(-fleet.lateral[rows] * aside / pace, 1))
         reference = future + _clip(command, np.pi / 4)
         rate = fleet.turning[rows] * wrap(reference - heading)
@@ -408,36 +411,38 @@ class Act:
         most, speed = fleet.comfort[rows], self.speeds[rows]
         aim = column_of([vehicle.target_speed for vehicle in self.vehicles])[rows]
         aim = np.minimum(np.maximum(aim, self.table.lowest[lane]), self.table.highest[lane])
-        ratio = np.maximum(speed, 0) / np.abs(_all_not_zero(aim))
+        ratio = np.maximum(speed, 0) / np.abs(_not_zero(aim))
         free = most * (1 - np.power(ratio, fleet.exponent[rows]))
         # One that changes lane looks at both.
         changing = np.flatnonzero(lane != target)
         looking = np.concatenate([np.arange(len(rows)), changing])
         searched = np.concatenate([lane, target[changing]])
         front, _ = self.neighbours(rows[looking], searched)
-        behind = self._behind(rows[looking], front, lane[looking], free[looking])
+        looking_rows = rows[looking]
+        behind = self._behind(looking_rows, looking_rows, front, lane[looking], free[looking])
         result, other = behind[: len(rows)], behind[len(rows) :]
         result[changing] = np.minimum(result[changing], other)
         return _clip(result, fleet.most[rows])
 
     def _behind(
-        self, rows: IntArray, front: IntArray, lane: IntArray, free: FloatArray
+        self, model: IntArray, row: IntArray, front: IntArray, lane: IntArray, free: FloatArray
     ) -> FloatArray:
-        """Accelerations behind the leaders `front`; gaps are measured along the current lanes."""
+        """Accelerations behind the leaders `front`, -1 for none, as the drivers `model` take them
+        to be; `free` without a leader.  Gaps are measured along the lanes."""
         led = np.flatnonzero(front >= 0)
         if len(led) == 0:
             return free
-        rows, front, lane = rows[led], front[led], lane[led]
-        fleet, along, speed = self.fleet, self.places.along, self.speeds[rows]
-        gap = along[front, lane] - along[rows, lane]
-        closing = np.vecdot(self.velocity[rows] - self.velocity[front], self.direction[rows])
-        most = fleet.comfort[rows]
+        model, row, front, lane = model[led], row[led], front[led], lane[led]
+        fleet, along, speed = self.fleet, self.places.along, self.speeds[row]
+        gap = along[front, lane] - along[row, lane]
+        closing = np.vecdot(self.velocity[row] - self.velocity[front], self.direction[row])
+        most = fleet.comfort[model]
         wanted = (
-            fleet.gap[rows]
-            + speed * fleet.headway[rows]
-            + speed * closing / (2 * np.sqrt(-most * fleet.brake[rows]))
+            fleet.gap[model]
+            + speed * fleet.headway[model]
+            + speed * closing / (2 * np.sqrt(-most * fleet.brake[model]))
         )
-        free[led] -= most * np.power(wanted / _all_not_zero(gap), 2)
+        free[led] -= most * np.power(wanted / _not_zero(gap), 2)
         return free
 
 

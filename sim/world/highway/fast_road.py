@@ -87,9 +87,10 @@ class FastRoad(Road):  # type: ignore[misc]
         count = len(fleet.vehicles)
         heading = column_of([thing.heading for thing in fleet.things])
         closest = self.table.closest(places.along[:count], places.aside[:count], heading[:count])
+        table = self.table
         for vehicle, column in zip(fleet.vehicles, closest.tolist(), strict=True):
-            vehicle.lane_index = self.table.index[column]
-            vehicle.lane = self.table.lanes[column]
+            vehicle.lane_index = table.index[column]
+            vehicle.lane = table.lanes[column]
         speed = column_of([thing.speed for thing in fleet.things])
         pairs = near_pairs(
             places.position, heading, speed, fleet.half_length, fleet.half_width, count, dt

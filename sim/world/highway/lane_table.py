@@ -102,23 +102,37 @@ class LaneTable:
 
     def headings(self, along: FloatArray) -> FloatArray:
         """Headings (N,M) of the lanes at places (N,M) along them, rad."""
-        columns = np.broadcast_to(np.arange(len(self.lanes)), along.shape)
-        return self.headings_of(columns, along)
+        heading = np.broadcast_to(self._own_heading, along.shape)
+        if len(self._straight) == len(self.lanes):
+            return heading
+        heading = heading.copy()
+        every = slice(None)
+        if len(self._sine):
+            heading[:, self._sine] += self._swing(every, along[:, self._sine])
+        if len(self._arc):
+            heading[:, self._arc] = self._tangent(every, along[:, self._arc])
+        return heading
 
     def headings_of(self, columns: IntArray, along: FloatArray) -> FloatArray:
-        """Headings (...) of lanes (...) at places (...) along them, rad."""
+        """Headings (N,) of lanes (N,) at places (N,) along them, rad."""
         heading = self._own_heading[columns]
         if len(self._sine):
             at = self._kind[columns] == _KNOWN.index(SineLane)
-            row = self._row[columns[at]]
-            slope = np.cos(self._pulsation[row] * along[at] + self._phase[row])
-            heading[at] += np.arctan(self._amplitude[row] * self._pulsation[row] * slope)
+            heading[at] += self._swing(self._row[columns[at]], along[at])
         if len(self._arc):
             at = self._kind[columns] == _KNOWN.index(CircularLane)
-            row = self._row[columns[at]]
-            phase = self._turn[row] * along[at] / self._radius[row] + self._start_phase[row]
-            heading[at] = phase + np.pi / 2 * self._turn[row]
+            heading[at] = self._tangent(self._row[columns[at]], along[at])
         return heading
+
+    def _swing(self, row: Any, along: FloatArray) -> FloatArray:
+        """By how much sine lanes turn from the line that they swing about."""
+        slope = np.cos(self._pulsation[row] * along + self._phase[row])
+        return np.arctan(self._amplitude[row] * self._pulsation[row] * slope)
+
+    def _tangent(self, row: Any, along: FloatArray) -> FloatArray:
+        """Headings of arcs."""
+        phase = self._turn[row] * along / self._radius[row] + self._start_phase[row]
+        return np.asarray(phase + np.pi / 2 * self._turn[row])
 
     def closest(self, along: FloatArray, aside: FloatArray, heading: FloatArray) -> Any:
         """The column of the lane (N,) that is closest in place and heading, the first of equals."""
