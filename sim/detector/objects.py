@@ -268,8 +268,10 @@ def _size_error(model: ObjectModel, seen: Targets, errors: FloatArray) -> FloatA
 
 
 def _yaw(model: ObjectModel, seen: Targets, error: FloatArray, streams: Streams) -> FloatArray:
-    flip = seen.members.uniforms(streams, Purpose.FLIP, 1)[:, 0]
     yaw = seen.yaw + model.yaw_noise(seen.distance) * error
+    if model.flip_probability == 0:
+        return wrap_angle(yaw)
+    flip = seen.members.uniforms(streams, Purpose.FLIP, 1)[:, 0]
     return wrap_angle(np.where(flip < model.flip_probability, yaw + np.pi, yaw))
 
 

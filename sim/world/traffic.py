@@ -105,7 +105,7 @@ class _Log:
         distance = np.hypot(state[:, 0] - sensor[0], state[:, 1] - sensor[1])
         self.seen[rows] |= distance <= max_range
         gone = self.seen[rows] & (distance > max_range + REACH_MARGIN)
-        return {vehicles[k] for k in np.flatnonzero(gone).tolist()}
+        return {vehicles[k] for k in gone.nonzero()[0].tolist()}
 
     def paths(self, traffic: Traffic) -> list[Trajectory]:
         """The path of every vehicle."""

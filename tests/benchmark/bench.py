@@ -64,6 +64,9 @@ BARS = {
     "j_import": at_most("startup", "import pmbm / import numpy", 2),
     "j_plugin": at_most("startup", "numpy and highway_env imported by the pytest plugin", 0),
     "k": at_most("startup", "first `pmbm run` to its first result, s", 15),
+    "t_record": at_most("trial", "recording a trial / that of commit e340b31", 0.45, 0.28),
+    "t_step": at_most("trial", "following a trial / that of commit e340b31", 0.25, 0.10),
+    "t_trial": at_most("trial", "a whole trial / that of commit e340b31", 0.42, 0.25),
     "l_compiled": at_most("latency", "99th percentile of a step, compiled kernel, ms", 50, 5),
     "l_reference": at_most("latency", "99th percentile of a step, plain kernel, ms", 50),
 }

@@ -31,7 +31,7 @@ from pmbm.sim.world.highway.env import (
     Vehicle,
     utils,
 )
-from pmbm.sim.world.highway.fast_drivers import Act, Fleet, Places, column_of, positions
+from pmbm.sim.world.highway.fast_drivers import Act, Fleet, Places, column_of, positions, rows_of
 from pmbm.sim.world.highway.lane_table import LaneTable
 from pmbm.types import FloatArray
 
@@ -167,7 +167,7 @@ def _advance(fleet: Fleet, dt: float) -> FloatArray:
     speed = column_of([v.speed for v in vehicles])
     clipped = np.array([v.crashed for v in vehicles], bool)
     clipped |= (speed > fleet.fastest) | (speed < fleet.slowest)
-    for row in np.flatnonzero(clipped).tolist():
+    for row in rows_of(clipped).tolist():
         vehicles[row].clip_actions()
     actions = [v.action for v in vehicles]
     beta = np.arctan(1 / 2 * np.tan(column_of([action["steering"] for action in actions])))
