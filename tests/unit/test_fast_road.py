@@ -127,6 +127,10 @@ def test_ties_in_place_and_distance():
 def test_neighbours_among_equals(seed, compiled, monkeypatch):
     """Everybody's neighbours on every lane, with places shared to the bit, on bent and connected
     lanes, as the stock search finds them."""
+    if not compiled:
+        monkeypatch.setattr(kernels, "native", None)
+    elif kernels.native is None:
+        pytest.skip("nothing is compiled")
     rng = np.random.default_rng(seed)
     roads = {
         "main": {"start": [0.0, 0.0], "end": [60.0, 12.0], "lanes": 3, "leads_to": "bend"},
@@ -145,11 +149,12 @@ def test_neighbours_among_equals(seed, compiled, monkeypatch):
     opened.road.objects.append(highway.Obstacle(opened.road, opened.road.vehicles[3].position))
     opened.road.objects.append(highway.Landmark(opened.road, opened.road.vehicles[5].position))
     act = fast_drivers.Act(opened.road)
-    things, along = act.places.things, act.places.along
+    things, places, table = act.places.things, act.places, act.table
     everybody = np.arange(len(opened.road.vehicles))
     tied = 0
-    for column, lane_index in enumerate(opened.road.table.index):
-        tied += len(set(along[:, column].tolist())) < len(things)
+    for column, lane_index in enumerate(table.index):
+        on_lane = np.abs(places.aside[:, column]) <= table.half_width[column]
+        tied += len(set(places.along[on_lane, column].tolist())) < on_lane.sum()
         found = act.neighbours(everybody, np.full(len(everybody), column))
         for vehicle, *rows in zip(opened.road.vehicles, *found, strict=True):
             near = [things[k] if k >= 0 else None for k in rows]
