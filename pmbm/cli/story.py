@@ -32,7 +32,7 @@ def story_of(
         made = make_tracker(factory, recording.site, own)
     if not isinstance(made, PMBMTracker):
         raise InputError(
-            f"tracker '{tracker}' cannot be asked why",
+            f"tracker '{tracker}' has no inspect(), which --explain needs",
             field="--explain",
             expected="a PMBMTracker as the first tracker",
             got=type(made).__name__,

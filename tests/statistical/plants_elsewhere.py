@@ -9,8 +9,8 @@ OTHER_PLANTS = [
     Plant(
         "y not mirrored",
         "sim/world/traffic.py",
-        "path.rows.append((x, -y, ",
-        "path.rows.append((x, y, ",
+        "state[:, 1:3] *= -1",
+        "state[:, 2:3] *= -1",
         by="tests/unit/test_traffic.py::test_our_world_is_right_handed",
         tests=("tests/unit/test_traffic.py",),
     ),

@@ -127,7 +127,9 @@ def test_a_track_is_explained_in_plain_words(short, capsys, tmp_path):
     told = told[told.index("pmbm, short, trial 0 of seed 3") :]
     assert told[1] == f"Track {known}"
     assert "born from detection" in told[2]
-    assert "cannot be asked" in refused(capsys, *run, "--explain", 0, "--tracker", "argoverse")
+    assert "has no inspect(), which --explain needs" in refused(
+        capsys, *run, "--explain", 0, "--tracker", "argoverse"
+    )
     assert not list(tmp_path.glob("*.json"))
 
 
