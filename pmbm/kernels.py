@@ -1,8 +1,8 @@
 """The compiled kernels, and which of each pair of twins runs: chosen here, once, for all.
 
 A kernel is a plain function that `twin` marks, and a function of the module `pmbm._native` of the
-same name, arguments and results.  The plain ones run where the install had
-no compiler, and where PMBM_NO_NATIVE=1 in the environment asks for them.
+same name, arguments and results.  The plain ones run where the install had no compiler, and where
+PMBM_NO_NATIVE=1 in the environment asks for them.
 """
 
 from __future__ import annotations

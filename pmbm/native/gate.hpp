@@ -1,5 +1,5 @@
 // Which measurements lie in the gate of which Gaussian, and what the undetected objects behind a
-// measurement look like.  The plain versions are gate() of gating.py, _fused() of update.py and what
+// measurement look like.  The plain versions are _gate() of gating.py, _fuse() of update.py and what
 // is named beside each function.
 #pragma once
 
@@ -155,7 +155,7 @@ inline void gate(const Innovations& g, const double* z, std::size_t measurements
     write_down();
 }
 
-// _gated() of association.py: the pairs of those that weigh something, and their log weights.
+// _gated() of gating.py: the pairs of those that weigh something, and their log weights.
 inline void weigh(const Expected& g, std::vector<std::int64_t>& rows,
                   std::vector<std::int64_t>& columns, std::vector<double>& whitened,
                   std::vector<double>& log_weight) {
@@ -202,7 +202,7 @@ inline std::vector<double> log_density(const Innovations& g, const double* log_h
     return top;
 }
 
-// _explained() of resumption.py: the origin, other than -1, that makes up most of each measurement's
+// _explained() of recycling.py: the origin, other than -1, that makes up most of each measurement's
 // density, whose log is `log_total`, and its share; -1 and 0 where there is none.
 inline void explained(const Innovations& g, const double* log_height, const std::int64_t* origin,
                       const double* share_of_origin, const double* z, const double* log_total,
@@ -240,7 +240,7 @@ inline void explained(const Innovations& g, const double* log_height, const std:
     }
 }
 
-// _resumed() of resumption.py: of each measurement the origin that explains more than `most` of it,
+// _resume() of recycling.py: of each measurement the origin that explains more than `most` of it,
 // or -1; not one of `known`, and each origin once, where probability (M,) times share is largest.
 inline std::vector<std::int64_t> resumed(std::vector<std::int64_t> origins,
                                          const std::vector<double>& shares, double most,

@@ -1,4 +1,4 @@
-// Which Gaussians of a mixture lie together.  The plain version is _groups() of reduction.py.
+// Which Gaussians of a mixture lie together.  The plain version is _merge_groups() of reduction.py.
 #pragma once
 
 #include <algorithm>

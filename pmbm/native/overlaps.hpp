@@ -1,4 +1,4 @@
-// Which of the reports at one place stands.  The plain version is apart() of estimation.py.
+// Suppresses overlapping reports.  The plain version is _suppress_overlaps() of estimation.py.
 #pragma once
 
 #include <algorithm>

@@ -1,5 +1,5 @@
-// What a sensor can see, and what a miss says.  The plain versions are View.share_inside() and
-// Sensor.missed() of models.py and Visibility.if_missed() of marks.py, and say what is meant.
+// What a sensor can see, and what a miss says.  The plain versions are _share_inside() of view.py,
+// _missed() of sensor.py and detectable_if_missed() of detection.py, and say what is meant.
 #pragma once
 
 #include <algorithm>
