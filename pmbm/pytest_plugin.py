@@ -6,7 +6,7 @@ uses it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -140,9 +140,36 @@ def tracking_gate(request: pytest.FixtureRequest) -> Iterator[TrackingGate]:
         node=request.node.nodeid,
         update=config.getoption("--pmbm-update-baselines"),
         most=config.getoption("--pmbm-trials"),
+        only=config.getoption("--pmbm-replay"),
+        tell=_progress(config),
     )
     yield gate
-    request.node.user_properties.extend((_BASELINE, str(file)) for file in gate.stored)
+    request.node.user_properties.extend((_BASELINE, text) for text in gate.stored)
+
+
+_TELL_EVERY = 5.0
+"""s between two lines of progress."""
+
+
+def _progress(config: pytest.Config) -> Callable[[str, int, int], None] | None:
+    """Says now and then how far a gate is; None where no terminal shows it."""
+    import time
+
+    reporter = config.pluginmanager.getplugin("terminalreporter")
+    capture = config.pluginmanager.getplugin("capturemanager")
+    if reporter is None or capture is None:
+        return None
+    said = time.monotonic()
+
+    def tell(name: str, done: int, most: int) -> None:
+        nonlocal said
+        if time.monotonic() - said < _TELL_EVERY:
+            return
+        said = time.monotonic()
+        with capture.global_and_fixture_disabled():
+            reporter.write_line(f"pmbm: {name}: {done} of at most {most} trials")
+
+    return tell
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -8,11 +8,13 @@ from __future__ import annotations
 import hashlib
 import re
 import shlex
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
+from unittest import SkipTest
 
 from pmbm.durable import replace_text
 from pmbm.metrics import evaluate
@@ -21,6 +23,7 @@ from pmbm.seeding import tracker_seed
 from pmbm.study import Source, estimate
 from pmbm.tracking import TrackerFactory, track, tracker_factory
 from pmbm.types import Recording, TrackSequence
+from pmbm.wording import counted
 
 if TYPE_CHECKING:
     from pmbm.regression import GateReport
@@ -45,6 +48,9 @@ class Run:
     recording: Recording
     tracks: TrackSequence
 
+    def __repr__(self) -> str:
+        return f"Run(trial {self.trial} of '{self.recording.name}': {len(self.tracks)} steps)"
+
 
 @dataclass(eq=False)
 class Outcome:
@@ -64,6 +70,10 @@ class Outcome:
     runs: tuple[Run, ...]
     _asked: str = field(default="gospa", repr=False)
     _known: dict[str, list[float | None]] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        trials = counted(len(self.runs), "trial")
+        return f"Outcome('{self.tracker}' over {trials} of '{self.source.name}', seed {self.seed})"
 
     def values(self, metric: str) -> list[float | None]:
         """The metric's value in each trial, None where undefined.
@@ -126,11 +136,26 @@ class Outcome:
         metric = self._asked
         trial = self.worst()
         command = shlex.join(["pytest", node, "--pmbm-replay", str(trial)])
-        file = _write_page(
-            folder, node, self.source, {self.tracker: self.factory}, self.seed, trial, command
-        )
-        text = f"worst trial by {metric}: {trial} of seed {self.seed}\nreplay: {file}\n{command}"
-        return ShownTrial(file, text)
+        trackers = {self.tracker: self.factory}
+        file = _write_page(folder, node, self.source, trackers, self.seed, trial, command, metric)
+        lines = [
+            *self._told(metric),
+            f"worst trial by {metric}: {trial} of seed {self.seed}",
+            f"replay: {file}",
+            command,
+        ]
+        return ShownTrial(file, "\n".join(lines))
+
+    def _told(self, metric: str) -> list[str]:
+        """The metric's value in each trial, its mean and the interval, as lines."""
+        values = self.values(metric)
+        shown = " ".join("undefined" if value is None else f"{value:.4g}" for value in values)
+        known = definition(metric)
+        found = estimate(values, known.scale)
+        ends = "" if found.low is None else f", 95 % interval [{found.low:.4g}, {found.high:.4g}]"
+        mean = "undefined" if found.mean is None else f"{found.mean:.4g}{ends}"
+        told = f"{metric} in {counted(len(values), 'trial')} ({known.unit}): {shown}"
+        return [*wrap(told, 100, subsequent_indent="    "), f"mean {mean}"]
 
     def _defined(self, metric: str) -> list[float]:
         values = [value for value in self.values(metric) if value is not None]
@@ -176,7 +201,13 @@ def _outcome(
     runs = []
     for trial in range(trials) if only is None else [only]:
         recording = world.record(seed, trial)
-        tracks = track(factory, recording, tracker_seed(seed, trial))
+        try:
+            tracks = track(factory, recording, tracker_seed(seed, trial))
+        except Exception as error:
+            error.add_note(
+                f"tracker '{tracker_name}' in trial {trial} of '{world.name}', seed {seed}"
+            )
+            raise
         runs.append(Run(trial, recording, tracks))
     return Outcome(world, tracker_name, factory, seed, tuple(runs))
 
@@ -191,6 +222,9 @@ class TrackingGate:
     folder, test, node : where the test is, a name for its baselines, and its node id.
     update : store the tracker under test as the new baseline.
     most : trials at most, instead of what a check says.
+    only : show this trial alone, and judge nothing.
+    tell : called with a scenario, its trials done and the most there may be.
+    stored : of each baseline that was stored, its file and what it changed.
     """
 
     folder: Path
@@ -198,8 +232,10 @@ class TrackingGate:
     node: str
     update: bool = False
     most: int | None = None
-    stored: list[Path] = field(default_factory=list)
-    _show: Callable[[Path, str], ShownTrial] | None = None
+    only: int | None = None
+    tell: Callable[[str, int, int], None] | None = None
+    stored: list[str] = field(default_factory=list)
+    _show: Callable[[Path, str], ShownTrial] | None = field(default=None, repr=False)
 
     def check(
         self,
@@ -223,8 +259,10 @@ class TrackingGate:
             stored baseline, a JSON file in `baselines` beside the test.
 
         The other arguments are those of `pmbm.regression.Rules` and `gated_metric`.  Raises
-        BaselineMismatch where there is no stored baseline, or none for these recordings.
+        BaselineMismatch where there is no stored baseline, or none for these recordings; SkipTest
+        where one trial alone is to be shown.
         """
+        __tracebackhide__ = True
         from pmbm.regression import GateEntry, Rules, Verdict, gated_metric, load_baseline, run_gate
         from pmbm.regression.wording import Commands, in_words
 
@@ -240,6 +278,16 @@ class TrackingGate:
         source = _source(str(self.folder / str(scenario)) if beside else scenario, None)
         file = self.folder / "baselines" / f"{_slug(f'{self.test}-{source.name}-{metric}')}.json"
         accept = shlex.join(["pytest", self.node, "--pmbm-update-baselines"])
+        trackers = {"candidate": tracker} | ({} if against is None else {"baseline": against})
+
+        def show(trial: int, folder: Path, node: str) -> ShownTrial:
+            command = self._replay(trial)
+            page = _write_page(folder, node, source, trackers, seed, trial, command, metric)
+            return ShownTrial(page, f"trial {trial} of seed {seed}\nreplay: {page}\n{command}")
+
+        if self.only is not None:
+            self._show = partial(show, self.only)
+            raise SkipTest(f"trial {self.only} alone is shown, and nothing judged")
         if self.update and against is None:
             self._store(source, tracker, gated, rules, seed, jobs, file)
         if against is None:
@@ -248,20 +296,16 @@ class TrackingGate:
         else:
             baseline = against
         entries = {source.name: GateEntry(source, baseline, tracker)}
-        report = run_gate(entries, gated, rules, seed=seed, jobs=jobs)
-        worst = report.scenes[0].worst
-        trackers = {"candidate": tracker} | ({} if against is None else {"baseline": against})
-
-        def show(folder: Path, node: str) -> ShownTrial:
-            shown = _write_page(folder, node, source, trackers, seed, worst, _repeat(node))
-            return ShownTrial(shown, f"worst trial: {worst} of seed {seed}\nreplay: {shown}")
-
-        self._show = show
+        report = run_gate(entries, gated, rules, seed=seed, jobs=jobs, progress=self.tell)
+        self._show = partial(show, report.scenes[0].worst)
         if report.verdict is not Verdict.PASS:
-            # A replay is written after the test; its command is the test itself.
-            commands = Commands(lambda name, trial: _repeat(self.node), accept)
+            change = accept if against is None else None
+            commands = Commands(lambda name, trial: self._replay(trial), change)
             raise AssertionError(in_words(report, commands))
         return report
+
+    def _replay(self, trial: int) -> str:
+        return shlex.join(["pytest", self.node, "--pmbm-replay", str(trial)])
 
     def write_replay(self, folder: Path, node: str) -> ShownTrial | None:
         """Write the replay of the last check's worst trial; None before any check."""
@@ -277,25 +321,28 @@ class TrackingGate:
         jobs: int,
         file: Path,
     ) -> None:
-        from pmbm.regression import StoredBaseline
-        from pmbm.study import run_trials
+        """Store the tracker's values; a worse tracker's too, but as a failure."""
+        __tracebackhide__ = True
+        from pmbm.regression import store_baseline
 
-        results = run_trials(
-            source, {"candidate": tracker}, seed, rules.max_trials, jobs, metrics=gated
-        )
-        trials = tuple(
-            (result.recording, float(result.scores["candidate"]["gated"] or 0.0))
-            for result in results
-        )
-        StoredBaseline(
-            metric=gated.name,
-            bounds=gated.bounds,
+        (change,) = store_baseline(
+            file,
+            {source.name: (source, tracker)},
+            gated,
+            rules,
             seed=seed,
             tracker=getattr(tracker, "__qualname__", str(tracker)),
             code="",
-            scenarios={source.name: trials},
-        ).write(file)
-        self.stored.append(file)
+            jobs=jobs,
+            progress=self.tell,
+        )
+        told = change.in_words(gated.name)
+        self.stored.append(f"{file}: {told}")
+        if change.worse:
+            raise AssertionError(
+                f"{told}\nstored all the same in {file}: the worse tracker is the baseline from "
+                "now on; git restore the file to undo that"
+            )
 
 
 def _source(source: Source | str, level: Any) -> Source:
@@ -313,22 +360,19 @@ def _write_page(
     folder: Path,
     node: str,
     source: Source,
-    trackers: dict[str, TrackerFactory | str],
+    trackers: Mapping[str, TrackerFactory | str],
     seed: int,
     trial: int,
     command: str,
+    metric: str,
 ) -> Path:
     from pmbm.reports.replays import trial_page
 
-    page = trial_page(source, trackers, seed, trial, title=node, command=command)
+    page, _ = trial_page(source, trackers, seed, trial, title=node, command=command, metric=metric)
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"{_slug(node)}.html"
     replace_text(file, page)
     return file
-
-
-def _repeat(node: str) -> str:
-    return shlex.join(["pytest", node])
 
 
 def _slug(text: str) -> str:

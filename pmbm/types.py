@@ -29,6 +29,7 @@ from pmbm.errors import NOT_YET_CONFIRMED, InputError
 from pmbm.geometry import normal_density, normal_in_polygon
 from pmbm.labels import Label
 from pmbm.validation import Checker, frozen
+from pmbm.wording import counted
 
 __all__ = [
     "ABSENT",
@@ -53,6 +54,8 @@ ABSENT: Final = -1
 
 _PAIRS_AT_ONCE = 1_000_000
 """Points times components looked at together: some tens of MB."""
+_IDS_SHOWN = 8
+"""Track ids that a repr shows."""
 
 _Table = TypeVar("_Table", bound="Detections | GroundTruth | GaussianMixture | Tracks")
 _Frame = TypeVar("_Frame", bound="Detections | GroundTruth")
@@ -94,6 +97,9 @@ class Detections:
 
     def __len__(self) -> int:
         return len(self.position)
+
+    def __repr__(self) -> str:
+        return f"Detections({counted(len(self), 'box', 'boxes')} at {self.time:g} s)"
 
     @property
     def distance(self) -> FloatArray:
@@ -159,6 +165,9 @@ class GroundTruth:
     def __len__(self) -> int:
         return len(self.id)
 
+    def __repr__(self) -> str:
+        return f"GroundTruth({counted(len(self), 'object')} at {self.time:g} s)"
+
     def take(self, rows: ArrayLike) -> GroundTruth:
         """The same frame with only these rows (indices or a mask), in this order."""
         return _take(self, rows)
@@ -186,6 +195,10 @@ class GaussianMixture:
 
     def __len__(self) -> int:
         return len(self.log_weight)
+
+    def __repr__(self) -> str:
+        weight = float(np.exp(self.log_weight).sum())
+        return f"GaussianMixture({counted(len(self), 'component')}, {weight:.3g} objects)"
 
     @classmethod
     def empty(cls) -> GaussianMixture:
@@ -258,6 +271,12 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.id)
 
+    def __repr__(self) -> str:
+        ids = ", ".join(map(str, self.id[:_IDS_SHOWN].tolist()))
+        more = ", ..." if len(self) > _IDS_SHOWN else ""
+        shown = f", ids {ids}{more}" if len(self) else ""
+        return f"Tracks({counted(len(self), 'track')} at {self.time:g} s{shown})"
+
     @classmethod
     def empty(cls, time: float) -> Tracks:
         """A frame in which the tracker reports nothing."""
@@ -311,6 +330,11 @@ class TrackSequence(Sequence[Tracks]):
     def __len__(self) -> int:
         return len(self.steps)
 
+    def __repr__(self) -> str:
+        ids = len({i for tracks in self.steps for i in tracks.id.tolist()})
+        late = f", {counted(self.dropped, 'late delivery', 'late deliveries')}" * (self.dropped > 0)
+        return f"TrackSequence({counted(len(self), 'step')}, {counted(ids, 'track id')}{late})"
+
     @overload
     def __getitem__(self, index: int) -> Tracks: ...
     @overload
@@ -349,6 +373,13 @@ class Site:
         door.number("fov_centre")
         door.number("fov_half_angle", above=0.0, at_most=float(np.pi))
         door.number("max_range", above=0.0)
+
+    def __repr__(self) -> str:
+        view = np.degrees(2.0 * self.fov_half_angle)
+        return (
+            f"Site({counted(len(self.occluders), 'occluder')}, field of view {view:.3g} degrees, "
+            f"range {self.max_range:g} m)"
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -436,6 +467,14 @@ class Recording:
         """Frames of truth."""
         return len(self.truth)
 
+    def __repr__(self) -> str:
+        objects = len({i for frame in self.truth for i in frame.id.tolist()})
+        boxes = sum(len(delivery) for delivery in self.detections)
+        return (
+            f"Recording('{self.name}': {counted(len(self), 'frame')}, "
+            f"{counted(objects, 'object')}, {counted(boxes, 'detection')})"
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Mapping proxies do not pickle; plain dicts do, and become proxies again on arrival.
         values = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -445,7 +484,7 @@ class Recording:
 
     def truth_digest(self) -> str:
         """A hash of the site, the stamps and the truth: equal bits, equal hash."""
-        return _digest(
+        return digest_of(
             self.site,
             self.stamp,
             sorted(self.object_name.items()),
@@ -454,11 +493,11 @@ class Recording:
 
     def detections_digest(self) -> str:
         """A hash of the deliveries and their frames: equal bits, equal hash."""
-        return _digest(self.frame, *self.detections)
+        return digest_of(self.frame, *self.detections)
 
     def digest(self) -> str:
         """A hash of the whole recording but its name and provenance."""
-        return _digest(
+        return digest_of(
             self.truth_digest(), self.detections_digest(), list(self.origin or ("unknown",))
         )
 
@@ -565,7 +604,8 @@ def frames_of(
     return tuple(found)
 
 
-def _digest(*parts: Any) -> str:
+def digest_of(*parts: Any) -> str:
+    """A hash of values, arrays by their bits: equal values, equal hash."""
     hasher = hashlib.sha256()
     for part in parts:
         _feed(hasher, part)

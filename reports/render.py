@@ -91,6 +91,7 @@ class _SectionView:
     note: str
     replay: ReplayView | None
     facts: tuple[tuple[str, str], ...]
+    problems: tuple[str, ...]
 
 
 def _overview(sections: Sequence[Section]) -> _Overview | None:
@@ -121,6 +122,7 @@ def _section(section: Section) -> _SectionView:
         note=_note(section),
         replay=None if section.replay is None else replay_view(section.replay),
         facts=facts(section.provenance),
+        problems=section.problems,
     )
 
 

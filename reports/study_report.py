@@ -289,7 +289,9 @@ def robustness(cells: Sequence[CellResults], parameter: str) -> list[MetricCurve
     if len(levels) < 2:
         return []
     trackers = list(cells[0].results[0].scores)
-    measured = cells[0].results[0].scores[trackers[0]]
+    measured = dict.fromkeys(
+        name for result in cells[0].results for scores in result.scores.values() for name in scores
+    )
     chosen = [m for m in CURVE_METRICS if m in measured] or list(measured)[:6]
     at_level = {
         level: [cell.results for cell in cells if cell.point[parameter] == level]

@@ -9,13 +9,11 @@ from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pmbm.errors import InputError
-from pmbm.reports.replays import trial_replay
+from pmbm.reports.replays import at_event, trial_replay
 from pmbm.reports.study_report import leading_metric
 from pmbm.reports.tables import shown_metric
-from pmbm.reports.values import CellResults, Failure, ReplayPage, StudyReport, WorstTrial
+from pmbm.reports.values import CellResults, Failure, StudyReport, WorstTrial
 from pmbm.study import ConfiguredTracker, Source, StudyResults, TrialResult, load_results
 
 Resolve = Callable[[str, Mapping[str, Any]], Source]
@@ -151,17 +149,7 @@ def _played(results: StudyResults, sources: _Sources, file: str, one: _Candidate
             why=f"{why}. It is not played here: this machine or version records other traffic",
             command=command,
         )
-    return WorstTrial(why=why, command=command, replay=_at_its_worst(replay))
-
-
-def _at_its_worst(played: ReplayPage) -> ReplayPage:
-    """The replay, to begin where the first tracker's GOSPA is largest after the first second."""
-    tracker = next(iter(played.tracks))
-    frames = played.tracks[tracker].frame
-    gospa = played.series[tracker]["gospa_observable"]
-    times = np.array([played.recording.truth[frame].time for frame in frames])
-    late = times > times[:1].sum() + 1
-    return replace(played, start=int(frames[np.argmax(np.where(late, gospa, -1))]))
+    return WorstTrial(why=why, command=command, replay=at_event(replay, metric.key))
 
 
 def _failures(results: StudyResults, file: str) -> list[Failure]:

@@ -60,6 +60,7 @@ class Section:
     summary : means with intervals per tracker and metric, and paired differences.
     replay : one trial to look at, or None.
     provenance : what is needed to make the results again.
+    problems : what went wrong, a line each.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Section:
     summary: Summary
     replay: ReplayPage | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -7,13 +7,12 @@ import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli.wording import duration
+from pmbm.wording import counted, duration
 
 if TYPE_CHECKING:
     from pmbm.regression import GatedMetric, GateEntry, GateReport, Pilot, Rules, wording
@@ -51,6 +50,19 @@ _PILOT = 10
     "how many with their spread, and the time.",
 )
 @click.option("--accept", is_flag=True, help="Store the candidate's values as the new baseline.")
+@click.option(
+    "--replay",
+    type=click.IntRange(min=0),
+    metavar="INDEX",
+    help="Show one trial of these trackers, as the gate names it.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("reports"),
+    show_default=True,
+    help="Folder for a replay.",
+)
 @click.option("--junit", type=click.Path(path_type=Path, dir_okay=False), help="JUnit XML.")
 @click.option("--github", is_flag=True, help="Annotations.  [default: on in GitHub Actions]")
 @click.option("--bisect", metavar="GOOD..BAD", help="Name the first commit that fails.")
@@ -60,6 +72,8 @@ def command(
     baseline: Path | None,
     plan: bool,
     accept: bool,
+    replay: int | None,
+    out: Path,
     junit: Path | None,
     github: bool,
     bisect: str | None,
@@ -81,7 +95,9 @@ def command(
     from pmbm.durable import check_writable, replace_text
     from pmbm.regression import wording
 
-    task = _task(study_name, baseline, jobs, options)
+    task = _task(study_name, baseline, jobs, {"against": against, **options})
+    if replay is not None:
+        return _replay(task, against, replay, out)
     if plan:
         _plan(task, against)
         return 0
@@ -95,7 +111,7 @@ def command(
         return _bisect(task, bisect)
     with ExitStack() as stack:
         report = _compare(task, stack, against)
-    commands = task.commands()
+    commands = task.commands(against)
     text = wording.in_words(report, commands)
     code = _EXIT[report.verdict]
     if code == 1 and against is not None and _is_accepted(task):
@@ -120,6 +136,7 @@ class _Task:
     rules: Rules
     baseline: Path
     jobs: int
+    given: tuple[str, ...]
 
     @property
     def cells(self) -> dict[str, Cell]:
@@ -128,19 +145,28 @@ class _Task:
     def tracker(self, cell: Cell) -> ConfiguredTracker:
         return cell.trackers[self.candidate]
 
-    def commands(self) -> wording.Commands:
+    @property
+    def accept(self) -> str:
+        """The command that stores the candidate's values."""
+        return shlex.join(["pmbm", "gate", self.name, "--tracker", self.candidate, "--accept"])
+
+    def commands(self, against: str | None) -> wording.Commands:
         from pmbm.regression import wording
 
-        accept = ["pmbm", "gate", self.name, "--tracker", self.candidate, "--accept"]
-        return wording.Commands(self._replay, shlex.join(accept))
+        # Beside another tracker there is no change to accept.
+        change = against is None or not self.is_tracker(against)
+        return wording.Commands(self.replay, self.accept if change else None)
 
-    def _replay(self, label: str, trial: int) -> str:
-        if self.name.endswith(".toml"):
-            index = trial * len(self.study.cells) + list(self.cells).index(label)
-            return shlex.join(["pmbm", "study", self.name, "--replay", str(index)])
-        trials = ["--trials", str(trial + 1), "--replay", str(trial)]
-        seed = ["--seed", str(self.study.seed)]
-        return shlex.join(["pmbm", "run", self.name, *seed, *trials, "--tracker", self.candidate])
+    def is_tracker(self, against: str) -> bool:
+        """Whether the baseline is named as a tracker is, not as a commit."""
+        from pmbm.tracking import SHIPPED_TRACKERS
+
+        return against in self.study.trackers or against in SHIPPED_TRACKERS or ":" in against
+
+    def replay(self, label: str, trial: int) -> str:
+        """The command that shows a trial; in every study, however many trials that plans."""
+        index = trial * len(self.study.cells) + list(self.cells).index(label)
+        return shlex.join(["pmbm", "gate", self.name, *self.given, "--replay", str(index)])
 
 
 def _task(name: str, baseline: Path | None, jobs: int, options: dict[str, Any]) -> _Task:
@@ -178,9 +204,17 @@ def _task(name: str, baseline: Path | None, jobs: int, options: dict[str, Any]) 
         rules=rules,
         baseline=baseline or Path(f"{stem}.baseline.json"),
         jobs=jobs,
+        given=tuple(
+            word
+            for key in _SAID_AGAIN
+            if key in given
+            for word in (f"--{key.replace('_', '-')}", str(given[key]))
+        ),
     )
 
 
+_SAID_AGAIN = ("against", "tracker", "seed", "metric", "margin", "relative_margin")
+"""Options that a replay of the same trial needs."""
 _GATE_OPTIONS = ("metric", "margin", "relative_margin", "alpha", "max_trials")
 
 
@@ -217,16 +251,15 @@ def _entries(task: _Task, stack: ExitStack, against: str | None) -> dict[str, Ga
     from pmbm.regression import GateEntry, load_baseline
     from pmbm.regression.gitref import GitTracker, checked_out, same_sources
     from pmbm.study import ConfiguredTracker
-    from pmbm.tracking import SHIPPED_TRACKERS
 
     cells = task.cells
     if against is None:
-        stored = load_baseline(task.baseline, task.commands().accept or "")
+        stored = load_baseline(task.baseline, task.accept)
         stored.check(task.metric, task.study.seed)
         baselines: dict[str, Any] = dict.fromkeys(cells, stored)
     elif against in task.study.trackers:
         baselines = {label: cell.trackers[against] for label, cell in cells.items()}
-    elif against in SHIPPED_TRACKERS or ":" in against:
+    elif task.is_tracker(against):
         tracker = ConfiguredTracker(against)
         tracker.bound()
         baselines = dict.fromkeys(cells, tracker)
@@ -245,16 +278,38 @@ def _entries(task: _Task, stack: ExitStack, against: str | None) -> dict[str, Ga
     }
 
 
+def _replay(task: _Task, against: str | None, index: int, out: Path) -> int:
+    """Show one trial of the candidate, and of the tracker that it is compared with."""
+    from pmbm.cli.study import write_replay
+
+    labels = list(task.cells)
+    label, trial = labels[index % len(labels)], index // len(labels)
+    trackers: dict[str, Any] = {task.candidate: task.tracker(task.cells[label])}
+    with ExitStack() as stack:
+        entries = None if against is None else _entries(task, stack, against)
+        if entries is not None and against != task.candidate:
+            trackers[str(against)] = entries[label].baseline
+        return write_replay(
+            out / f"{task.study.name}-gate-{index}.html",
+            task.cells[label],
+            trackers,
+            task.study.seed,
+            trial,
+            task.replay(label, trial),
+            task.metric.name,
+        )
+
+
 def _plan(task: _Task, against: str | None) -> None:
     """Say what the gate will take: what the margin needs, then what a few trials show."""
     from pmbm.regression import run_pilot
     from pmbm.regression.verdicts import check_margin
 
-    rules, metric, scenarios = task.rules, task.metric, len(task.cells)
+    rules, metric = task.rules, task.metric
     rules.check_range(metric.value_range)
     click.echo(
-        f"{metric.name}: range {metric.value_range:g}, alpha {rules.alpha:g} over {scenarios} "
-        f"scenario{'s' if scenarios > 1 else ''}"
+        f"{metric.name}: range {metric.value_range:g}, alpha {rules.alpha:g} over "
+        f"{counted(len(task.cells), 'scenario')}"
     )
     if rules.margin is not None:
         share = 100 * rules.margin / metric.value_range
@@ -274,7 +329,7 @@ def _plan(task: _Task, against: str | None) -> None:
                 click.echo(f"{label}: margin {margin:.4g}: {_at_least(task, margin)}")
             trials = _tell_spread(task, label, pilot)
             seconds += pilot.seconds * trials
-    processes = f"{task.jobs} process{'es' if task.jobs > 1 else ''}"
+    processes = counted(task.jobs, "process", "processes")
     click.echo(f"in all about {duration(seconds / task.jobs)} with {processes}")
 
 
@@ -349,36 +404,23 @@ def _progress(task: _Task) -> Iterator[Any]:
 
 def _accept(task: _Task) -> None:
     """Run the candidate alone and store its values."""
-    from pmbm.regression import StoredBaseline
-    from pmbm.study import run_trials
+    from pmbm.regression import store_baseline
 
-    scenarios = {}
     with _progress(task) as tell:
-        for label, cell in task.cells.items():
-            results = run_trials(
-                cell.source,
-                {"candidate": task.tracker(cell)},
-                task.study.seed,
-                task.rules.max_trials,
-                task.jobs,
-                partial(tell, label),
-                task.metric,
-            )
-            values = [result.scores["candidate"]["gated"] for result in results]
-            scenarios[label] = tuple(
-                (result.recording, float(value or 0.0))
-                for result, value in zip(results, values, strict=True)
-            )
-    stored = StoredBaseline(
-        metric=task.metric.name,
-        bounds=task.metric.bounds,
-        seed=task.study.seed,
-        tracker=task.candidate,
-        code=task.study.hash,
-        scenarios=scenarios,
-    )
-    stored.write(task.baseline)
-    click.echo(f"{task.baseline}: {task.rules.max_trials} trials of {', '.join(scenarios)}")
+        changes = store_baseline(
+            task.baseline,
+            {label: (cell.source, task.tracker(cell)) for label, cell in task.cells.items()},
+            task.metric,
+            task.rules,
+            seed=task.study.seed,
+            tracker=task.candidate,
+            code=task.study.hash,
+            jobs=task.jobs,
+            progress=tell,
+        )
+    click.echo(f"{task.baseline}: stored")
+    for change in changes:
+        click.echo(change.in_words(task.metric.name))
 
 
 def _is_accepted(task: _Task) -> bool:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.wording import counted
+
 if TYPE_CHECKING:
     from rich.text import Text
 
@@ -85,8 +87,9 @@ def command(
     explain: int | None,
     with_maps: bool,
     jobs: int,
-) -> None:
-    """Run trackers over trials of a scenario: a table, and a page to look at.
+) -> int:
+    """Run trackers over trials of a scenario: a table, and a page to look at.  Exit code 1 where a
+    tracker raised.
 
     \b
     Examples:
@@ -98,6 +101,7 @@ def command(
     from pmbm.durable import check_writable, replace_text
     from pmbm.errors import InputError
     from pmbm.reports.render import run_page
+    from pmbm.reports.replays import problems
     from pmbm.sim import load_scenario
     from pmbm.study import summarise
     from pmbm.tracking import tracker_factory
@@ -131,13 +135,17 @@ def command(
             story_of(source, name, factories[name], seed, replay_trial, explain)
             for source in sources
         ]
-    figures, sections = [], []
+    figures, sections, failed = [], [], False
     for source in sources:
         results = _run(source, named, seed, trials, jobs, quiet=json_file == "-")
         summary = summarise(results)
         figures.append(_figures(source.name, trials, seed, summary))
-        sections.append(_section(source, named, seed, replay_trial, summary, with_maps))
+        wrong = problems(results)
+        sections.append(_section(source, named, seed, replay_trial, summary, with_maps, wrong))
         _show(source.name, summary, results, to_stderr=json_file == "-")
+        for line in wrong:
+            click.echo(f"{source.name}: {line}", err=True)
+        failed |= bool(wrong)
 
     repeat = shlex.join(["pmbm", *_arguments()])
     title = sources[0].name if len(sources) == 1 else (page or "run")
@@ -151,6 +159,7 @@ def command(
             click.echo(text)
         else:
             replace_text(json_target, text + "\n")
+    return 1 if failed else 0
 
 
 def _arguments() -> Sequence[str]:
@@ -212,6 +221,7 @@ def _section(
     trial: int,
     summary: Summary,
     with_maps: bool,
+    wrong: tuple[str, ...],
 ) -> Section:
     from pmbm.reports.replays import trial_replay
     from pmbm.reports.values import Section
@@ -223,6 +233,7 @@ def _section(
         summary=summary,
         replay=replay,
         provenance=replay.recording.provenance,
+        problems=wrong,
     )
 
 
@@ -230,8 +241,8 @@ def _show(name: str, summary: Summary, results: Sequence[TrialResult], *, to_std
     from rich.console import Console
     from rich.table import Table
 
-    trials = f"{summary.trials} trial{'s' if summary.trials > 1 else ''}"
-    table = Table(title=f"{name}: {trials}, mean and 95 % interval", title_justify="left")
+    title = f"{name}: {counted(summary.trials, 'trial')}, mean and 95 % interval"
+    table = Table(title=title, title_justify="left")
     table.add_column("metric", no_wrap=True)
     for tracker in summary.trackers:
         table.add_column(tracker, justify="right", no_wrap=True)
@@ -244,16 +255,18 @@ def _show(name: str, summary: Summary, results: Sequence[TrialResult], *, to_std
             metric,
             *(_text(value, summary.trials) for value in [*means, *differences]),
         )
-    times = [
-        sum(result.time[tracker].mean for result in results) / len(results)
-        for tracker in summary.trackers
-    ]
-    table.add_row("ms per step", *(f"{1000 * seconds:.2f}" for seconds in times))
+    table.add_row("ms per step", *(_step_time(results, name) for name in summary.trackers))
     console = Console(stderr=to_stderr)
     if not console.is_terminal:
         # A file has no width of its own; rich's guess of 80 columns would cut names short.
         console = Console(stderr=to_stderr, width=40 + 24 * len(table.columns))
     console.print(table)
+
+
+def _step_time(results: Sequence[TrialResult], tracker: str) -> str:
+    """Mean CPU time of a tracker's steps over the trials that it finished, ms."""
+    times = [result.time[tracker].mean for result in results if tracker in result.time]
+    return f"{1000 * sum(times) / len(times):.2f}" if times else "-"
 
 
 def _text(value: Estimate | None, trials: int) -> Text:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import shlex
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli.wording import duration
+from pmbm.wording import counted, duration
 
 if TYPE_CHECKING:
-    from pmbm.study import Progress, Study
+    from pmbm.study import Cell, Progress, Study
 
 
 @click.command()
@@ -119,16 +119,14 @@ def _estimate(study: Study, store: Path, jobs: int) -> None:
     left = max(len(study) - done, 0)
     click.echo(
         f"{len(study)} trials ({len(study.cells)} cells x {study.trials}), {done} stored, "
-        f"{left} to run: about {duration(left * each / jobs)} with {jobs} "
-        f"process{'es' if jobs > 1 else ''} ({each:.2g} s a trial)"
+        f"{left} to run: about {duration(left * each / jobs)} with "
+        f"{counted(jobs, 'process', 'processes')} ({each:.2g} s a trial)"
     )
 
 
 def _replay(study: Study, file: Path, index: int, out: Path) -> int:
     """Run one trial here and write its replay as a page."""
-    from pmbm.durable import replace_text
     from pmbm.errors import InputError
-    from pmbm.reports.replays import trial_page
 
     if index >= len(study):
         raise InputError(
@@ -136,14 +134,37 @@ def _replay(study: Study, file: Path, index: int, out: Path) -> int:
         )
     cell, trial = study.cell(index), study.trial(index)
     command = shlex.join(["pmbm", "study", str(file), "--replay", str(index)])
+    metric = study.gate.get("metric", "gospa_observable")
     target = out / f"{study.name}-{index}.html"
-    target.parent.mkdir(parents=True, exist_ok=True)
-    page = trial_page(
-        cell.source, cell.trackers, study.seed, trial, title=cell.label, command=command
+    return write_replay(target, cell, cell.trackers, study.seed, trial, command, metric)
+
+
+def write_replay(
+    file: Path,
+    cell: Cell,
+    trackers: Mapping[str, Any],
+    seed: int,
+    trial: int,
+    command: str,
+    metric: str,
+) -> int:
+    """Write the page of one trial, and say where; of a tracker that raised, the traceback.
+
+    Gives the exit code: 1 where a tracker raised.
+    """
+    from pmbm.durable import replace_text
+    from pmbm.reports.replays import trial_page
+
+    title = f"{cell.label}, trial {trial}"
+    page, result = trial_page(
+        cell.source, trackers, seed, trial, title=title, command=command, metric=metric
     )
-    replace_text(target, page)
-    click.echo(f"trial {trial} of {cell.label}: {target}")
-    return 0
+    file.parent.mkdir(parents=True, exist_ok=True)
+    replace_text(file, page)
+    for name, error in result.errors.items():
+        click.echo(f"tracker '{name}' raised:\n{error.traceback}", err=True)
+    click.echo(f"trial {trial} of {cell.label}: {file}")
+    return 1 if result.errors else 0
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pmbm.kernels import twin
 from pmbm.types import ABSENT, FloatArray, GaussianMixture, unchecked
+from pmbm.wording import counted
 
 Index = NDArray[np.intp]
 
@@ -350,6 +351,13 @@ class Density:
             local=local if local is not None else Locals.empty(),
             hypotheses=Globals.none() if clustering else Globals.one_empty(),
             track_id=np.zeros(0, np.int64),
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"Density({counted(len(self.track_id), 'track')}, "
+            f"{counted(len(self.local), 'local hypothesis', 'local hypotheses')}, "
+            f"{counted(len(self.undetected), 'undetected component')})"
         )
 
     def hypothesis_probability(self) -> FloatArray:

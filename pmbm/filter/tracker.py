@@ -48,6 +48,9 @@ class State:
     scene: SceneDensity
     ids: IdInheritance
 
+    def __repr__(self) -> str:
+        return f"State({self.time:g} s: {self.density})"
+
     @staticmethod
     def initial(model: PMBMConfig) -> State:
         """Nothing looked at yet."""
@@ -75,6 +78,9 @@ class Trace:
     frame: Frame
     removed: ReductionStats
     seconds: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        return f"Trace(before: {self.before})"
 
 
 def step(

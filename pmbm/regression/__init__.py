@@ -4,9 +4,11 @@ from pmbm.regression.gate import GateEntry, GateReport, SceneReport, run_gate
 from pmbm.regression.metric import GatedMetric, gated_metric
 from pmbm.regression.plan import Pilot, least_trials, run_pilot, trials_with_spread
 from pmbm.regression.stored import StoredBaseline, load_baseline
+from pmbm.regression.storing import Change, store_baseline
 from pmbm.regression.verdicts import Decision, Pairs, Rules, Verdict, judge
 
 __all__ = [
+    "Change",
     "Decision",
     "GateEntry",
     "GateReport",
@@ -23,5 +25,6 @@ __all__ = [
     "load_baseline",
     "run_gate",
     "run_pilot",
+    "store_baseline",
     "trials_with_spread",
 ]

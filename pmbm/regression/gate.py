@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -63,8 +63,8 @@ class SceneReport:
     worst: int
     worst_loss: float
     alongside: Mapping[str, tuple[float, float]]
-    recordings: tuple[str, ...]
-    values: tuple[float, ...]
+    recordings: tuple[str, ...] = field(repr=False)
+    values: tuple[float, ...] = field(repr=False)
 
     @property
     def verdict(self) -> Verdict:
@@ -83,6 +83,10 @@ class GateReport:
     seed: int
     scenes: tuple[SceneReport, ...]
     same_code: bool = False
+
+    def __repr__(self) -> str:
+        scenes = ", ".join(f"{scene.name} {scene.verdict}" for scene in self.scenes)
+        return f"GateReport({self.verdict} by {self.metric.name}: {scenes or 'the same code'})"
 
     @property
     def verdict(self) -> Verdict:

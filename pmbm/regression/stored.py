@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmbm.durable import replace_text
 from pmbm.errors import BaselineMismatch, InputError, nearest_hint
+from pmbm.metrics.catalogue import definition
 from pmbm.provenance import SCHEMA_VERSION, provenance
+from pmbm.study import estimate
 
 if TYPE_CHECKING:
     from pmbm.regression.metric import GatedMetric
@@ -37,7 +40,7 @@ class StoredBaseline:
     seed: int
     tracker: str
     code: str
-    scenarios: Mapping[str, Trials]
+    scenarios: Mapping[str, Trials] = field(repr=False)
     file: str = ""
     accept: str = ""
 
@@ -65,6 +68,7 @@ class StoredBaseline:
 
     def check(self, metric: GatedMetric, seed: int) -> None:
         """Raise BaselineMismatch unless the values are those of this metric and seed."""
+        __tracebackhide__ = True
         for name, stored, wanted in (
             ("metric", self.metric, metric.name),
             ("bounds", self.bounds, metric.bounds),
@@ -79,27 +83,53 @@ class StoredBaseline:
             problem, file=self.file, hint=", or ".join(filter(None, (hint, accept)))
         )
 
+    def mean(self, scenario: str) -> float:
+        """Mean of the metric over a scenario's trials, as people know it."""
+        return sum(self._shown(scenario)) / len(self.scenarios[scenario])
+
+    def _shown(self, scenario: str) -> list[float]:
+        """The metric's values as people know it: trials hold losses."""
+        sign = -1.0 if definition(self.metric).direction == "higher" else 1.0
+        return [sign * value for _, value in self.scenarios[scenario]]
+
     def write(self, file: Path) -> None:
-        """Write sorted JSON whose floats read back to the same bits."""
-        document = {
+        """Write JSON whose floats read back to the same bits: first what a person reviews (whose
+        values these are; of each scenario the mean, its interval, trials, a digest), then the
+        trials, in two lines a scenario."""
+        head = {
             "schema": SCHEMA_VERSION,
             "metric": self.metric,
+            "tracker": self.tracker,
+            "scenarios": {name: self._summary(name) for name in sorted(self.scenarios)},
             "bounds": list(self.bounds),
             "seed": self.seed,
-            "tracker": self.tracker,
             "code": self.code,
             "provenance": {key: provenance()[key] for key in ("versions", "platform")},
-            "scenarios": {
-                name: {
-                    "recordings": [d[:_DIGEST] for d, _ in trials],
-                    "values": [v for _, v in trials],
-                }
-                for name, trials in self.scenarios.items()
-            },
         }
+        rows = []
+        for name in sorted(self.scenarios):
+            trials = self.scenarios[name]
+            recordings = json.dumps([digest[:_DIGEST] for digest, _ in trials])
+            values = json.dumps([value for _, value in trials], allow_nan=False)
+            rows.append(
+                f' {json.dumps(name)}: {{\n  "recordings": {recordings},\n  "values": {values}\n }}'
+            )
+        top = json.dumps(head, indent=1, allow_nan=False).removesuffix("\n}")
         file.parent.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(document, sort_keys=True, indent=1, allow_nan=False)
-        replace_text(file, text + "\n")
+        replace_text(file, f'{top},\n "trials": {{\n' + ",\n".join(rows) + "\n }\n}\n")
+
+    def _summary(self, name: str) -> dict[str, Any]:
+        found = estimate(self._shown(name), definition(self.metric).scale)
+        ends = (found.mean, found.low, found.high)
+        mean, low, high = (None if end is None else float(f"{end:.4g}") for end in ends)
+        trials = self.scenarios[name]
+        summary = {"mean": mean, "interval": [low, high], "trials": len(trials)}
+        return {**summary, "digest": _digest_of_trials(trials)}
+
+
+def _digest_of_trials(trials: Trials) -> str:
+    rows = [[digest[:_DIGEST], value] for digest, value in trials]
+    return hashlib.sha256(json.dumps(rows, allow_nan=False).encode()).hexdigest()[:_DIGEST]
 
 
 _DIGEST = 16
@@ -111,12 +141,13 @@ def load_baseline(file: Path, accept: str = "") -> StoredBaseline:
 
     Raises BaselineMismatch where there is none, InputError where it cannot be read.
     """
+    __tracebackhide__ = True  # In a failing test, the test's own line says enough.
     try:
         text = file.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
+    except FileNotFoundError:
         raise BaselineMismatch(
             "no stored baseline", file=file, hint=f"store one: {accept}" if accept else None
-        ) from error
+        ) from None
     try:
         return _parsed(json.loads(text), file, accept)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -124,17 +155,22 @@ def load_baseline(file: Path, accept: str = "") -> StoredBaseline:
             f"not a stored baseline: {type(error).__name__} {error}",
             file=file,
             hint=f"store a new one: {accept}" if accept else None,
-        ) from error
+        ) from None
 
 
 def _parsed(document: Any, file: Path, accept: str) -> StoredBaseline:
     if document["schema"] != SCHEMA_VERSION:
         raise ValueError(f"schema {document['schema']}, not {SCHEMA_VERSION}")
     low, high = document["bounds"]
+    if "trials" not in document:
+        raise ValueError("written by an earlier version")
     scenarios = {}
-    for name, rows in document["scenarios"].items():
+    for name, rows in document["trials"].items():
         pairs = zip(rows["recordings"], rows["values"], strict=True)
-        scenarios[str(name)] = tuple((_hex(digest), float(value)) for digest, value in pairs)
+        trials = tuple((_hex(digest), float(value)) for digest, value in pairs)
+        if _digest_of_trials(trials) != document["scenarios"][name]["digest"]:
+            raise ValueError(f"the trials of '{name}' do not fit their digest")
+        scenarios[str(name)] = trials
     return StoredBaseline(
         metric=str(document["metric"]),
         bounds=(float(low), float(high)),

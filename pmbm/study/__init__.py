@@ -8,7 +8,7 @@ from pmbm.study.runner import Progress, run_study
 from pmbm.study.store import read_store
 from pmbm.study.study import Cell, Study
 from pmbm.study.summary import Estimate, Summary, estimate, metric_scale, summarise
-from pmbm.study.trial import Source, StepTime, TrialResult, run_trial
+from pmbm.study.trial import Source, StepTime, TrackerError, TrialResult, run_trial
 
 __all__ = [
     "Cell",
@@ -21,6 +21,7 @@ __all__ = [
     "Study",
     "StudyResults",
     "Summary",
+    "TrackerError",
     "TrialResult",
     "estimate",
     "export",

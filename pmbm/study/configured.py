@@ -63,10 +63,16 @@ class ConfiguredTracker:
 
 def follow(tracker: TrackerFactory | str, recording: Recording, seed: int) -> TrackSequence:
     """`track` of a factory, of a configured tracker, or of the one of that name."""
+    return track(factory_of(tracker), recording, seed)
+
+
+def factory_of(tracker: TrackerFactory | str) -> TrackerFactory:
+    """The factory itself, that of a configured tracker, or the one of that name.
+
+    Raises InputError where there is none.
+    """
     factory: Any = tracker_factory(tracker) if isinstance(tracker, str) else tracker
-    if isinstance(factory, ConfiguredTracker):
-        factory = factory.bound()
-    return track(factory, recording, seed)
+    return factory.bound() if isinstance(factory, ConfiguredTracker) else factory
 
 
 def nested(parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,9 @@ from pmbm.errors import InputError
 from pmbm.study.store import read_store
 from pmbm.study.study import cell_label
 from pmbm.study.summary import Summary, summarise
-from pmbm.study.trial import StepTime, TrialResult
+from pmbm.study.trial import StepTime, TrackerError, TrialResult
 from pmbm.types import FloatArray
+from pmbm.wording import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,6 +58,19 @@ class StudyResults:
     times: pd.DataFrame
     trials: Mapping[int, tuple[TrialResult, ...]]
 
+    def __repr__(self) -> str:
+        return f"StudyResults('{self.name}': {self.done} of {counted(self.total, 'trial')})"
+
+    def _repr_html_(self) -> str:
+        means = self.scores.pivot_table(
+            index=["scenario", *self.parameters, "metric"],
+            columns="tracker",
+            values="value",
+            observed=True,
+            sort=False,
+        )
+        return f"<p>{escape(repr(self))}: means</p>{means.to_html(float_format='{:.4g}'.format)}"
+
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the swept parameters."""
@@ -67,7 +82,7 @@ class StudyResults:
 
     @property
     def failures(self) -> pd.DataFrame:
-        """The rows of `outcomes` that are no results."""
+        """The rows of `outcomes` that are no results, or not those of every tracker."""
         return self.outcomes[self.outcomes["outcome"] != "ok"]
 
     def summary(self, cell: int, reference: str | None = None) -> Summary | None:
@@ -97,22 +112,28 @@ def load_results(file: Path | str) -> StudyResults:
         number, trial = index % len(cells), index // len(cells)
         scenario = cells[number]["scenario"]
         result, measured = json.loads(row.result), json.loads(row.time)
+        errors = result.get("errors", {})
+        raised = [f"tracker '{name}' raised {text}" for name, text in errors.items()]
         outcome_rows.append(
             (
                 *(index, number, scenario, trial, row.outcome),
-                *(result.get("error"), row.note, result.get("recording"), measured.get("seconds")),
+                *("; ".join(raised) or result.get("error"), row.note),
+                *(result.get("recording"), measured.get("seconds")),
             )
         )
-        if row.outcome != "ok":
+        if "scores" not in result:
             continue
         scores = {name: result["scores"][name] for name in names[number]}
-        times = {name: StepTime(*measured["steps"][name]) for name in names[number]}
+        times = {n: StepTime(*measured["steps"][n]) for n in names[number] if n not in errors}
         for tracker, values in scores.items():
             columns.add(index, tracker, values)
         for tracker, time in times.items():
             time_rows.append((index, number, tracker, time.mean, time.median, time.p99))
         trials.setdefault(number, []).append(
-            TrialResult(scenario, seed, trial, result["recording"], scores, times)
+            TrialResult(
+                *(scenario, seed, trial, result["recording"], scores, times),
+                {name: TrackerError(text, row.note) for name, text in errors.items()},
+            )
         )
     cells_table = _cells(points, parameters, [cell["scenario"] for cell in cells])
     return StudyResults(
@@ -166,7 +187,9 @@ class _Columns:
         index = np.repeat(np.array(self._index, dtype=np.int64), lengths)
         cell = index % len(cells)
         metrics = list(dict.fromkeys(name for kind in self._kinds for name in kind))
-        code = {kind: np.array([metrics.index(name) for name in kind]) for kind in self._kinds}
+        code = {
+            kind: np.array([metrics.index(name) for name in kind], np.int64) for kind in self._kinds
+        }
         trackers = list(dict.fromkeys(self._trackers))
         tracker = np.array([trackers.index(name) for name in self._trackers], dtype=np.int64)
         columns: dict[str, Any] = {

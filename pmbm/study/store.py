@@ -43,7 +43,8 @@ _CHECKPOINT_EVERY = 8
 class StoreRow:
     """What is kept of one trial.
 
-    outcome : "ok"; or how it failed: "raised", "timeout", "memory" or "died".
+    outcome : "ok"; "tracker raised", with the results of the other trackers; or how it failed as a
+        whole: "raised", "timeout", "memory" or "died".
     result : canonical JSON, a pure function of (study hash, index).
     time : JSON of what was measured with a clock; part of no digest.
     note : for people, for example a traceback; part of no digest.

@@ -15,6 +15,8 @@ from pmbm.metrics.catalogue import definition
 from pmbm.study.code import code_version
 from pmbm.study.configured import ConfiguredTracker
 from pmbm.study.trial import Source, TrialResult, run_trial
+from pmbm.types import digest_of
+from pmbm.wording import counted
 
 Resolve = Callable[[str, Mapping[str, Any]], Source]
 """Turns a name and overrides of its parameters into a Source, or raises InputError."""
@@ -39,6 +41,9 @@ class Cell:
     def label(self) -> str:
         """The scenario and the point, for people."""
         return cell_label(self.scenario, self.point)
+
+    def __repr__(self) -> str:
+        return f"Cell('{self.label}': {', '.join(self.trackers)})"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,6 +82,12 @@ class Study:
 
     def __len__(self) -> int:
         return self.trials * len(self.cells)
+
+    def __repr__(self) -> str:
+        return (
+            f"Study('{self.name}': {counted(len(self.cells), 'cell')} of "
+            f"{counted(self.trials, 'trial')}, {counted(len(self.trackers), 'tracker')})"
+        )
 
     def cell(self, index: int) -> Cell:
         return self.cells[index % len(self.cells)]
@@ -150,5 +161,5 @@ def _identity(source: Any) -> Any:
     if isinstance(document, Mapping):
         return hashlib.sha256(canonical(document).encode()).hexdigest()
     if dataclasses.is_dataclass(source):
-        return hashlib.sha256(repr(source).encode()).hexdigest()
+        return digest_of(source)
     return source.name

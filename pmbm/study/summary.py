@@ -12,6 +12,7 @@ from pmbm.errors import InputError, nearest_hint
 from pmbm.intervals import COUNT, MEASURED, Scale, Student, Uncertainty, of_mean
 from pmbm.metrics.catalogue import definition, names
 from pmbm.study.trial import TrialResult
+from pmbm.wording import counted
 
 _NAMES = frozenset(names())
 
@@ -67,6 +68,9 @@ class Summary:
     differences: Mapping[str, Mapping[str, Estimate]]
     reference: str
     trials: int
+
+    def __repr__(self) -> str:
+        return f"Summary({', '.join(self.trackers)}; {counted(self.trials, 'trial')})"
 
     @property
     def trackers(self) -> tuple[str, ...]:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from pmbm.errors import InputError
 from pmbm.metrics import evaluate
 from pmbm.seeding import seeded, tracker_seed
-from pmbm.study.configured import follow
+from pmbm.study.configured import factory_of, follow
 from pmbm.tracking import TrackerFactory
 from pmbm.types import FloatArray, Recording, TrackSequence
 
@@ -51,14 +53,28 @@ class StepTime:
 
 
 @dataclass(frozen=True)
+class TrackerError:
+    """What a tracker raised: its type and message in one line, and the traceback."""
+
+    message: str
+    traceback: str = field(compare=False, repr=False)
+
+    @classmethod
+    def of(cls, error: Exception) -> TrackerError:
+        message = " ".join(f"{type(error).__name__}: {error}".split())
+        return cls(message, "".join(traceback.format_exception(error)))
+
+
+@dataclass(frozen=True)
 class TrialResult:
     """What one trial gave: a pure function of source, trackers, seed and trial, but for `time`.
 
     source : the source's name.
     seed, trial : what was recorded.
     recording : digest of the recording that every tracker saw.
-    scores : tracker -> metric -> value, None where undefined.
+    scores : tracker -> metric -> value, None where undefined; nothing of a tracker that raised.
     time : tracker -> CPU time of its steps; never part of a digest.
+    errors : tracker -> what it raised, of those that did.
     """
 
     source: str
@@ -67,11 +83,28 @@ class TrialResult:
     recording: str
     scores: Mapping[str, Mapping[str, float | None]]
     time: Mapping[str, StepTime]
+    errors: Mapping[str, TrackerError] = field(default_factory=dict)
+
+    def of(self, tracker: str) -> Mapping[str, float | None]:
+        """The scores of a tracker.
+
+        Raises InputError where it raised.
+        """
+        if tracker in self.errors:
+            raise InputError(
+                f"tracker '{tracker}' raised in trial {self.trial} of '{self.source}', seed "
+                f"{self.seed}: {self.errors[tracker].message}"
+            )
+        return self.scores[tracker]
+
+    def __repr__(self) -> str:
+        trackers = ", ".join(self.scores)
+        return f"TrialResult(trial {self.trial} of '{self.source}', seed {self.seed}: {trackers})"
 
     def __reduce__(self) -> tuple[Any, ...]:
         scores = {name: dict(values) for name, values in self.scores.items()}
         identity = (self.source, self.seed, self.trial, self.recording)
-        return _make_result, (*identity, scores, dict(self.time))
+        return _make_result, (*identity, scores, dict(self.time), dict(self.errors))
 
 
 def run_trial(
@@ -88,15 +121,25 @@ def run_trial(
         None for all that `evaluate` gives.
 
     Every tracker starts from the same global random state, so that what it scores depends on no
-    other that runs.  Raises InputError for an unknown tracker or metric.
+    other that runs; one that raises loses its own scores (see `TrialResult.errors`) and nobody
+    else's.  Raises InputError for an unknown tracker or metric.
     """
     recording = source.record(seed, trial)
-    scores, times = {}, {}
-    for name, tracker in trackers.items():
-        scores[name], times[name] = score_tracker(
-            recording, tracker, metrics, seed=tracker_seed(seed, trial)
-        )
-    return _make_result(source.name, seed, trial, recording.digest(), scores, times)
+    own = tracker_seed(seed, trial)
+    scores: dict[str, dict[str, float | None]] = {}
+    times, errors = {}, {}
+    factories = {name: factory_of(tracker) for name, tracker in trackers.items()}
+    for name, factory in factories.items():
+        try:
+            tracks = follow(factory, recording, own)
+        except MemoryError:
+            raise
+        except Exception as error:
+            scores[name], errors[name] = {}, TrackerError.of(error)
+            continue
+        scores[name] = _scored(recording, tracks, metrics, own)
+        times[name] = StepTime.of(tracks.seconds)
+    return _make_result(source.name, seed, trial, recording.digest(), scores, times, errors)
 
 
 def score_tracker(
@@ -111,13 +154,21 @@ def score_tracker(
     seed : of global random state, for the tracker and for one's own metrics, see `track`.
     """
     tracks = follow(tracker, recording, seed)
+    return _scored(recording, tracks, metrics, seed), StepTime.of(tracks.seconds)
+
+
+def _scored(
+    recording: Recording,
+    tracks: TrackSequence,
+    metrics: Sequence[str] | Metrics | None,
+    seed: int,
+) -> dict[str, float | None]:
     if callable(metrics):
         with seeded(seed):
             given = metrics(recording, tracks)
     else:
         given = evaluate(recording, tracks, metrics).scalars()
-    scores = {key: None if value is None else float(value) for key, value in given.items()}
-    return scores, StepTime.of(tracks.seconds)
+    return {key: None if value is None else float(value) for key, value in given.items()}
 
 
 def _make_result(
@@ -127,8 +178,15 @@ def _make_result(
     recording: str,
     scores: Mapping[str, Mapping[str, float | None]],
     time: Mapping[str, StepTime],
+    errors: Mapping[str, TrackerError],
 ) -> TrialResult:
     frozen = {name: MappingProxyType(dict(values)) for name, values in scores.items()}
     return TrialResult(
-        source, seed, trial, recording, MappingProxyType(frozen), MappingProxyType(dict(time))
+        source,
+        seed,
+        trial,
+        recording,
+        MappingProxyType(frozen),
+        MappingProxyType(dict(time)),
+        MappingProxyType(dict(errors)),
     )

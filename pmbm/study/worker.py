@@ -23,8 +23,8 @@ from pmbm.study.trial import Source, run_trial
 _LONGEST_MESSAGE = 500
 
 
-class TrialTimeout(Exception):
-    """A trial took longer than it may."""
+class TrialTimeout(BaseException):
+    """A trial took longer than it may; no exception that a tracker could catch by mistake."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,6 @@ def compute(task: Task) -> StoreRow:
     try:
         with threadpool_limits(limits=1), _alarm(task.time_limit):
             found = run_trial(task.source, task.trackers, task.seed, task.trial, task.metrics)
-        scores = {name: dict(values) for name, values in found.scores.items()}
-        result = canonical({"recording": found.recording, "scores": scores})
     except TrialTimeout:
         return failed(task.index, "timeout", f"longer than {task.time_limit:g} s")
     except MemoryError:
@@ -68,16 +66,27 @@ def compute(task: Task) -> StoreRow:
     except Exception as error:
         message = f"{type(error).__name__}: {error}"
         return failed(task.index, "raised", message, traceback.format_exc())
+    scores = {name: dict(values) for name, values in found.scores.items()}
+    result = {"recording": found.recording, "scores": scores}
     steps = {name: [t.mean, t.median, t.p99] for name, t in found.time.items()}
     seconds = time.perf_counter() - start
-    return StoreRow(task.index, "ok", result, canonical({"seconds": seconds, "steps": steps}))
+    time_ = canonical({"seconds": seconds, "steps": steps})
+    if not found.errors:
+        return StoreRow(task.index, "ok", canonical(result), time_)
+    result["errors"] = {name: _plain(error.message) for name, error in found.errors.items()}
+    note = "\n".join(error.traceback for error in found.errors.values())
+    return StoreRow(task.index, "tracker raised", canonical(result), time_, note)
 
 
 def failed(index: int, outcome: str, message: str, note: str = "") -> StoreRow:
     """The row of a trial that gave no result."""
-    # Addresses differ from process to process, and would make equal failures look different.
-    text = re.sub(r"0x[0-9a-fA-F]+", "0x...", message)[:_LONGEST_MESSAGE]
-    return StoreRow(index, outcome, canonical({"error": text}), note=note)
+    return StoreRow(index, outcome, canonical({"error": _plain(message)}), note=note)
+
+
+def _plain(message: str) -> str:
+    """A message without addresses, which differ from process to process and would make equal
+    failures look different."""
+    return re.sub(r"0x[0-9a-fA-F]+", "0x...", message)[:_LONGEST_MESSAGE]
 
 
 def prepare(driver: int, memory_limit: float | None) -> None:

@@ -67,6 +67,9 @@ class DetectorModel:
         ordered = {Label(label): self.label[label] for label in sorted(self.label)}
         object.__setattr__(self, "label", MappingProxyType(ordered))
 
+    def __repr__(self) -> str:
+        return f"DetectorModel('{self.name}')"
+
     def __reduce__(self) -> tuple[Any, ...]:
         return without_proxies(self)
 

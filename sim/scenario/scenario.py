@@ -69,6 +69,9 @@ class Scenario:
                 self.detector(level)
                 checked.append(table)
 
+    def __repr__(self) -> str:
+        return f"Scenario('{self.name}')"
+
     def __reduce__(self) -> tuple[Any, ...]:
         return Scenario, (dict(self.document), self.file, self.level)
 

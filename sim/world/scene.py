@@ -23,6 +23,7 @@ from pmbm.types import (
     frames_of,
 )
 from pmbm.validation import Checker, frozen
+from pmbm.wording import counted
 
 OBSERVABLE_SHARE = 0.1
 """An object less visible than this share counts as hidden."""
@@ -73,6 +74,9 @@ class Scene:
     def __len__(self) -> int:
         """Frames of truth."""
         return len(self.truth)
+
+    def __repr__(self) -> str:
+        return f"Scene('{self.name}': {counted(len(self), 'frame')} at {self.rate:g} Hz)"
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Mapping proxies do not pickle; plain dicts do, and become proxies again on arrival.

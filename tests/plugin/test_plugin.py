@@ -112,6 +112,9 @@ def test_a_failure_shows_its_worst_trial(project):
     assert "</html>" in page.read_text()
     command = f"pytest 'test_mine.py::test_follows[parked.toml-Worse]' --pmbm-replay {trial}"
     assert command in text
+    assert "where mean = Outcome('Worse' over 3 trials of 'parked', seed 0).mean" in text
+    assert re.search(r"^ospa in 3 trials \(m\): 1\.5 1\.5 1\.5$", text, re.M)
+    assert re.search(r"^mean 1\.5", text, re.M)
     assert "replays of worst trials" in text
     assert len(list((project.path / "shown").iterdir())) == 1
 
@@ -292,6 +295,9 @@ def test_the_gate_needs_a_baseline_and_says_how_to_store_one(project):
     result.stdout.fnmatch_lines(
         ["*no stored baseline*pytest test_mine.py::test_no_regression --pmbm-update-baselines*"]
     )
+    # One traceback, and none of it from within.
+    assert "During handling" not in result.stdout.str()
+    assert "FileNotFoundError" not in result.stdout.str()
 
 
 def test_the_gate_passes_fails_and_accepts(project):
@@ -301,7 +307,8 @@ def test_the_gate_passes_fails_and_accepts(project):
     stored.stdout.fnmatch_lines(["*stored baselines*"])
     files = list((project.path / "baselines").iterdir())
     assert len(files) == 1
-    assert len(json.loads(files[0].read_text())["scenarios"]["parked"]["values"]) == 20
+    # As many trials as the margin takes, not as many as there may be.
+    assert len(json.loads(files[0].read_text())["trials"]["parked"]["values"]) == 18
     project.runpytest().assert_outcomes(passed=1)
 
     project.makepyfile(test_mine=GATE.format(tracker="Worse"))
@@ -311,12 +318,31 @@ def test_the_gate_passes_fails_and_accepts(project):
         [
             "*fail  parked: ospa 0 -> 1.5, loss +1.5 in *margin 0.5*trials*",
             "*accept the change: pytest test_mine.py::test_no_regression --pmbm-update-baselines*",
-            "*worst trial: *",
             "*replay: *.html*",
         ]
     )
-    project.runpytest("--pmbm-update-baselines").assert_outcomes(passed=1)
+    # The printed command shows that trial, and judges nothing.
+    text = red.stdout.str()
+    trial, command = re.search(
+        r"worst is trial (\d+) .*: (pytest .* --pmbm-replay \d+)", text
+    ).groups()
+    page = Path(re.search(r"replay: (.*\.html)", text)[1])
+    page.unlink()
+    shown = project.runpytest(*shlex.split(command)[1:])
+    shown.assert_outcomes(skipped=1)
+    assert f"trial {trial} of seed 0" in page.read_text()
+    assert "In handling" not in text
+    assert "pmbm/regression" not in text
+
+    # A worse tracker is stored, and not called passed.
+    worse = project.runpytest("--pmbm-update-baselines")
+    worse.assert_outcomes(failed=1)
+    worse.stdout.fnmatch_lines(["*parked: ospa 0 -> 1.5, worse; 18 trials*"])
     project.runpytest().assert_outcomes(passed=1)
+    project.makepyfile(test_mine=GATE.format(tracker="Exact"))
+    better = project.runpytest("--pmbm-update-baselines")
+    better.assert_outcomes(passed=1)
+    better.stdout.fnmatch_lines(["*.json: parked: ospa 1.5 -> 0, no worse; 18 trials"])
 
 
 def test_the_gate_beside_another_tracker(project):

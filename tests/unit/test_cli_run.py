@@ -56,6 +56,19 @@ def refused(capsys, *arguments):
     return message[0]
 
 
+def test_a_tracker_that_raises_costs_no_other_its_table(short, tmp_path, capsys, monkeypatch):
+    (tmp_path / "raising_here.py").write_text(
+        "class Mine:\n    def step(self, detections):\n        raise ValueError('no idea')\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    names = ("--tracker", "raising_here:Mine", "--tracker", "argoverse")
+    assert call("run", short, *names, "--trials", 2, "--out", tmp_path) == 1
+    said = capsys.readouterr()
+    assert "short: raising_here:Mine raised in trial 1: ValueError: no idea" in said.err
+    assert "ms per step" in said.out
+    assert "raised in trial 0: ValueError" in (tmp_path / "short.html").read_text()
+
+
 def test_a_run_gives_a_table_a_page_and_the_promised_json(short, tmp_path, capsys):
     code = call("run", short, "--trials", 2, "--seed", 3, "--out", tmp_path, "--json", "-")
     out, err = capsys.readouterr()

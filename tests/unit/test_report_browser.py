@@ -208,11 +208,31 @@ def test_keys(plain):
     press(plain, "2")
     assert plain.execute_script("return player.state.tracker") == 1
     press(plain, "w")
-    worst = plain.execute_script("const t = player.data.trackers[1]; return t.series.gospa")
-    assert frame(plain) == int(np.argmax(worst))
+    gospa = plain.execute_script("const t = player.data.trackers[1]; return t.series.gospa")
+    # Nothing is tracked in the first three frames: the first second is left out.
+    assert int(np.argmax(gospa)) < 3
+    assert frame(plain) == 11 + int(np.argmax(gospa[11:]))
     scale = plain.execute_script("return player.camera.scale")
     press(plain, "+")
     assert plain.execute_script("return player.camera.scale") > scale
+
+
+def test_keys_go_to_the_next_error_and_the_next_switch(plain):
+    """The second tracker reports nothing at first and a false track from frame 21 on, and changes
+    an id at 61."""
+    plain.execute_script("player.choose(1); player.seek(5)")
+    press(plain, "e")
+    assert frame(plain) == 21
+    press(plain, "E")
+    assert frame(plain) == 0
+    plain.execute_script("player.seek(0)")
+    press(plain, "s")
+    assert frame(plain) == 61
+    press(plain, "s")
+    assert frame(plain) == 61
+    plain.execute_script("player.seek(90)")
+    press(plain, "S")
+    assert frame(plain) == 61
 
 
 def test_identity_switches_are_told(plain):

@@ -15,6 +15,7 @@ from pmbm.filter.models.sensor import ObservationModel
 from pmbm.filter.reduction import ReductionStats
 from pmbm.geometry import corners
 from pmbm.types import FloatArray, IntArray
+from pmbm.wording import counted
 
 IN_THE_OPEN = -1
 """In `SensorView.hidden_by`: nothing stands before the object."""
@@ -39,6 +40,9 @@ class SensorView:
     visible: FloatArray
     existence_if_missed: FloatArray
     hidden_by: IntArray
+
+    def __repr__(self) -> str:
+        return f"SensorView({counted(len(self.track_id), 'track')})"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,6 +82,13 @@ class Inspection:
     sensor_view: SensorView
     reduced: ReductionStats
     seconds: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        return (
+            f"Inspection({counted(len(self.track_id), 'track')} at {self.time:g} s, "
+            f"{counted(len(self.probability), 'hypothesis', 'hypotheses')}, "
+            f"{self.expected_undetected:.3g} undetected objects)"
+        )
 
     def story(self, track_id: int) -> str:
         """One track in plain words, its likeliest hypotheses first.

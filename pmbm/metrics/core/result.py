@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
+from html import escape
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -18,6 +19,10 @@ from pmbm.arrays import FloatArray
 from pmbm.errors import InputError, nearest_hint
 from pmbm.intervals import COUNT, MEASURED, Scale
 from pmbm.labels import Label
+from pmbm.wording import counted
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Counts = Mapping[str, Any]
 """Numbers or arrays that add up over recordings, and `Samples` and `Joined`, which join."""
@@ -26,6 +31,8 @@ Direction = Literal["higher", "lower", "none"]
 
 OBSERVABLE = "_observable"
 _READ_ONLY = ("parameters", "components", "counts")
+_HEADLINE = ("gospa", "mota", "id_switches")
+"""What the repr of an evaluation shows."""
 _COUNTED = ("boxes", "events", "tracks")
 """Units of metrics that are counts."""
 
@@ -168,6 +175,10 @@ class MetricValue:
         given = settings(self.parameters)
         return f"{self.variant}: {given}" if given else self.variant
 
+    def __repr__(self) -> str:
+        shown = f"{_text(self)} {self.unit}" if self.reason is None else f"undefined, {self.reason}"
+        return f"MetricValue({self.name}: {shown}; {self.rule})"
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only views of dictionaries do not pickle.
         values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -222,8 +233,46 @@ class Evaluation(Mapping[str, MetricValue]):
         """Values alone, by name: for tables and JSON."""
         return {value.name: value.value for value in self.metrics}
 
+    def to_frame(self) -> pd.DataFrame:
+        """The table as data: a row a metric, in order."""
+        import pandas as pd
+
+        columns = ("value", "unit", "direction", "scope", "variant", "reason")
+        return pd.DataFrame(
+            [[getattr(value, column) for column in columns] for value in self.metrics],
+            index=pd.Index([*self], name="metric"),
+            columns=[*columns],
+        )
+
+    def __repr__(self) -> str:
+        shown = [f"{name} {_text(self[name])}" for name in _HEADLINE if name in self]
+        return (
+            f"Evaluation({', '.join(shown) or counted(len(self), 'metric')}"
+            f"{', ...' if shown and len(self) > len(shown) else ''}; "
+            f"{counted(self.recordings, 'recording')})"
+        )
+
+    def _repr_html_(self) -> str:
+        head, *rows = self._rows()
+        lines = [f"<tr>{''.join(f'<th>{escape(cell)}</th>' for cell in head)}</tr>"]
+        lines += [f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows]
+        return f"<table>{''.join(lines)}</table>{''.join(map(_paragraph, self._reasons()))}"
+
     def __str__(self) -> str:
-        rows = [("metric", "all", "observable", "unit", "better", "rule")]
+        rows = self._rows()
+        widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+        lines = [
+            "  ".join(
+                cell.rjust(width) if column in (1, 2) else cell.ljust(width)
+                for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ).rstrip()
+            for row in rows
+        ]
+        return "\n".join(lines + self._reasons())
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        """The table's head, and a row a metric."""
+        rows: list[tuple[str, ...]] = [("metric", "all", "observable", "unit", "better", "rule")]
         bases = dict.fromkeys(name.removesuffix(OBSERVABLE) for name in self)
         for base in bases:
             all_, observable = self.get(base), self.get(base + OBSERVABLE)
@@ -239,20 +288,15 @@ class Evaluation(Mapping[str, MetricValue]):
                     shown.rule,
                 )
             )
-        widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-        lines = [
-            "  ".join(
-                cell.rjust(width) if column in (1, 2) else cell.ljust(width)
-                for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-            ).rstrip()
-            for row in rows
-        ]
+        return rows
+
+    def _reasons(self) -> list[str]:
+        """Lines that say why some metrics are undefined."""
         undefined: dict[str, list[str]] = {}
         for value in self.metrics:
             if value.reason is not None:
                 undefined.setdefault(value.reason, []).append(value.name)
-        lines += [f"undefined, {reason}: {', '.join(which)}" for reason, which in undefined.items()]
-        return "\n".join(lines)
+        return [f"undefined, {reason}: {', '.join(which)}" for reason, which in undefined.items()]
 
 
 def combine(evaluations: Sequence[Evaluation]) -> Evaluation:
@@ -292,6 +336,10 @@ def _combined(values: Sequence[MetricValue]) -> MetricValue:
             )
     counts = {key: sum(value.counts[key] for value in values) for key in first.counts}
     return first.definition.value(counts, scope=first.scope, parameters=first.parameters)
+
+
+def _paragraph(text: str) -> str:
+    return f"<p>{escape(text)}</p>"
 
 
 def _text(value: MetricValue | None) -> str:

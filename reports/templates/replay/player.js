@@ -116,6 +116,10 @@ class Player {
       0: () => this.home(),
       f: () => this.act("follow"),
       w: () => this.act("worst"),
+      e: () => this.act("error"),
+      E: () => this.act("error", true),
+      s: () => this.act("switch"),
+      S: () => this.act("switch", true),
       h: () => this.countByKey(),
       c: () => this.data.trackers.length > 1 && this.choose("compare"),
     };
@@ -136,7 +140,7 @@ class Player {
     return keys;
   }
 
-  act(what) {
+  act(what, back = false) {
     const { camera, state } = this;
     const middle = [camera.width / 2, camera.height / 2];
     const acts = {
@@ -148,6 +152,8 @@ class Player {
       home: () => this.home(),
       follow: () => this.follow(),
       worst: () => this.seek(this.worstFrame()),
+      error: () => this.jump(this.errorFrames(), back),
+      switch: () => this.jump(this.switchFrames(), back),
       measure: () => this.measure(!state.measuring),
     };
     acts[what]();
@@ -211,12 +217,47 @@ class Player {
     this.refresh();
   }
 
-  // The frame where the shown tracker's GOSPA is largest.
+  // The frame where the shown tracker's GOSPA is largest, the first second left out: nothing is
+  // tracked yet then.
   worstFrame() {
-    const tracker = this.data.trackers[this.state.tracker];
-    const values = tracker?.series.gospa ?? [];
-    const at = values.reduce((best, v, i) => (v > (values[best] ?? -1) ? i : best), 0);
-    return tracker?.steps[at] ?? 0;
+    const { times, trackers } = this.data;
+    const { steps = [], series = {} } = trackers[this.state.tracker] ?? {};
+    const pairs = steps.map((frame, i) => [frame, series.gospa?.[i] ?? -1]);
+    const later = afterStart(times, pairs);
+    return later.reduce((best, pair) => (pair[1] > best[1] ? pair : best), later[0] ?? [0, -1])[0];
+  }
+
+  // Frames where the shown tracker begins to miss an object or to report a false track.
+  errorFrames() {
+    const { data, state } = this;
+    const tracker = data.trackers[state.tracker];
+    if (!tracker) return [];
+    const wrong = (frame) =>
+      new Set([
+        ...tracker.missed.at[frame].map((row) => `missed ${tracker.missed.object[row]}`),
+        ...tracker.at[frame].filter((row) => tracker.false[row]).map((row) => `false ${tracker.object[row]}`),
+      ]);
+    const frames = [];
+    let before = new Set();
+    for (const frame of tracker.steps) {
+      const now = wrong(frame);
+      if ([...now].some((error) => !before.has(error))) frames.push(frame);
+      before = now;
+    }
+    return frames;
+  }
+
+  switchFrames() {
+    return (this.data.trackers[this.state.tracker]?.switches ?? []).map(([frame]) => frame);
+  }
+
+  // The next of these frames, or the one before; where there is none, nothing moves.
+  jump(frames, back) {
+    const { frame } = this.state;
+    const found = back ? frames.filter((f) => f < frame).pop() : frames.find((f) => f > frame);
+    if (found === undefined) return;
+    this.play(false);
+    this.seek(found);
   }
 
   play(on) {

@@ -256,8 +256,13 @@ function niceStep(rough) {
 // tracked yet, must not flatten the rest: what is larger only there is cut, and marked.
 function topAfterStart(times, pairs) {
   const largest = (kept) => Math.max(0.1, ...kept.filter(([, v]) => v !== null).map(([, v]) => v));
+  return niceTop(largest(afterStart(times, pairs)) * 1.05);
+}
+
+// Pairs of (frame, value) without the first second; all where there is nothing else.
+function afterStart(times, pairs) {
   const later = pairs.filter(([frame]) => times[frame] > times[0] + 1);
-  return niceTop(largest(later.length ? later : pairs) * 1.05);
+  return later.length ? later : pairs;
 }
 
 function niceTop(value) {

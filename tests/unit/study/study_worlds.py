@@ -84,6 +84,18 @@ def biased():
     return Echo(bias=1.0)
 
 
+class Picky:
+    """Echo, which raises in trials whose seed for trackers is odd."""
+
+    def __init__(self, seed):
+        self.seed = seed
+
+    def step(self, detections):
+        if self.seed % 2:
+            raise ValueError(f"not with {self.seed}")
+        return Echo().step(detections)
+
+
 class Blind:
     """Reports nothing."""
 

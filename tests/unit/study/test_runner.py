@@ -14,6 +14,7 @@ import pytest
 from study_driver import slow_study
 from study_worlds import Convoy, Trouble
 
+from pmbm.seeding import tracker_seed
 from pmbm.study import Cell, ConfiguredTracker, Study, load_results, read_store, run_study, runner
 from pmbm.study import study as study_module
 
@@ -72,6 +73,32 @@ def test_a_trial_that_raises_is_an_outcome(tmp_path):
     assert results.summary(0).trials == 3
     run_study(study(source), tmp_path / "b.sqlite", jobs=2)
     assert digest(tmp_path / "a.sqlite") == digest(tmp_path / "b.sqlite")
+
+
+def test_a_tracker_that_raises_leaves_the_others_their_trial(tmp_path):
+    """The failure names it and what it raised, and the other's four trials count."""
+    raises = [tracker_seed(0, trial) % 2 == 1 for trial in range(4)]
+    bad = sum(raises)
+    assert 0 < bad < 4
+    trackers = {
+        "echo": ConfiguredTracker("study_worlds:Echo"),
+        "picky": ConfiguredTracker("study_worlds:Picky"),
+    }
+    cell = Cell("scene", {}, Convoy(frames=3), trackers)
+    one = Study(name="s", cells=(cell,), trials=4, metrics=("ospa",))
+    for jobs in (0, 2):
+        done = run_study(one, tmp_path / f"{jobs}.sqlite", jobs=jobs)
+        assert (done.done, done.failed) == (4, bad)
+    assert digest(tmp_path / "0.sqlite") == digest(tmp_path / "2.sqlite")
+    results = load_results(tmp_path / "0.sqlite")
+    assert results.failures["trial"].tolist() == [t for t in range(4) if raises[t]]
+    assert set(results.failures["outcome"]) == {"tracker raised"}
+    assert results.failures["error"].iloc[0].startswith("tracker 'picky' raised ValueError: ")
+    assert "Traceback" in results.failures["note"].iloc[0]
+    summary = results.summary(0)
+    assert (summary.trials, summary.estimates["echo"]["ospa"].n) == (4, 4)
+    assert summary.estimates["picky"]["ospa"].n == 4 - bad
+    assert summary.differences["picky"]["ospa"].n == 4 - bad
 
 
 @pytest.mark.parametrize("jobs", [0, 1])

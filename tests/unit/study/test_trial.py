@@ -63,6 +63,29 @@ def test_a_result_is_frozen_and_travels():
     assert pickle.loads(pickle.dumps(found)) == found
 
 
+class Raises:
+    def step(self, detections):
+        raise RuntimeError(f"no\nidea at {detections.time:g} s")
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_tracker_that_raises_loses_its_own_scores_and_nobody_elses(jobs):
+    alone = run_trials(Convoy(), TRACKERS, 5, 2, metrics=toy_scores)
+    found = run_trials(Convoy(), {"bad": Raises, **TRACKERS}, 5, 2, jobs=jobs, metrics=toy_scores)
+    for one, other in zip(alone, found, strict=True):
+        assert {name: dict(other.scores[name]) for name in TRACKERS} == {
+            name: dict(scores) for name, scores in one.scores.items()
+        }
+        assert other.scores["bad"] == {}
+        assert other.errors["bad"].message == "RuntimeError: no idea at 0 s"
+        assert "in step" in other.errors["bad"].traceback
+        with pytest.raises(InputError, match=f"'bad' raised in trial {other.trial} of .*: Runtim"):
+            other.of("bad")
+    summary = summarise(found)
+    assert summary.trackers == ("bad", *TRACKERS)
+    assert summary.estimates["bad"] == {}
+
+
 def test_step_times_are_those_of_numpy():
     seconds = np.random.default_rng(0).uniform(size=37)
     assert StepTime.of(seconds) == StepTime(

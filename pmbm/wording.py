@@ -1,6 +1,11 @@
-"""Words that several commands use."""
+"""Numbers of things, and times, in words."""
 
 from __future__ import annotations
+
+
+def counted(number: int, noun: str, plural: str | None = None) -> str:
+    """A number of things: '1 box', '2 boxes'."""
+    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
 
 
 def duration(seconds: float) -> str:
