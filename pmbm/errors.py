@@ -90,6 +90,10 @@ class InputError(ValueError):
         return _rebuild, (type(self), dict(self.__dict__))
 
 
+_NEAR: Final = 0.6
+"""Likeness from which on a name may be what another was meant to be."""
+
+
 class InputWarning(UserWarning):
     """Input that is used as it is, though it may not be what was meant."""
 
@@ -112,7 +116,7 @@ class BaselineMismatch(InputError):
 def nearest_hint(name: object, valid: Iterable[str], what: str = "name") -> str:
     """The hint for an unknown name: the nearest valid one, or the list of all."""
     choices = sorted(valid)
-    near = difflib.get_close_matches(str(name), choices, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(str(name), choices, n=1, cutoff=_NEAR)
     if near:
         return f"did you mean '{near[0]}'?"
     return f"valid {what}s: {', '.join(choices) or 'none'}"

@@ -11,7 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from pmbm.errors import InputError, nearest_hint
+from pmbm.errors import InputError, Verbatim, nearest_hint
 from pmbm.named_modules import import_named
 from pmbm.seeding import seeded
 from pmbm.types import Detections, Label, Recording, Site, Tracks, TrackSequence
@@ -28,6 +28,9 @@ class Tracker(Protocol):
 TrackerFactory = Callable[..., Tracker]
 """Makes a fresh tracker; one that takes a parameter `site` is given the recording's, and one that
 takes `seed` a whole number that differs from trial to trial."""
+
+_SAME_TIME = 1e-6
+"""s by which a report's time may differ from that of its detections: rounding."""
 
 SHIPPED_TRACKERS = {
     "pmbm": "pmbm.filter:PMBMTracker",
@@ -172,7 +175,8 @@ def run(tracker: Tracker, recording: Recording, *, record: bool = False) -> Trac
     handed `Detections` alone: truth and origins are out of its reach.  With `record=True` what its
     `inspect()` gives after each step is kept.
 
-    Raises InputError where the tracker has no `step` or gives something that is not `Tracks`.
+    Raises InputError where the tracker has no `step`, or gives something that is not `Tracks` or
+    not of the detections' time.
     """
     if not callable(getattr(tracker, "step", None)):
         raise InputError(
@@ -197,6 +201,14 @@ def run(tracker: Tracker, recording: Recording, *, record: bool = False) -> Trac
                 frame=frame,
                 expected="pmbm.Tracks",
                 got=type(tracks).__name__,
+            )
+        if not abs(tracks.time - detections.time) <= _SAME_TIME:
+            raise InputError(
+                f"{type(tracker).__name__}.step returned tracks of another time",
+                frame=frame,
+                field="time",
+                expected=f"that of the detections, {detections.time:g} s",
+                got=Verbatim(f"{tracks.time:g} s"),
             )
         steps.append(tracks)
         frames.append(frame)

@@ -310,6 +310,14 @@ class Checker:
             )
 
     def labels(self, n: int) -> None:
+        given = np.asarray(self.value.label)
+        if given.dtype.kind in "USO" and any(isinstance(one, str) for one in given.flat):
+            raise self._fail(
+                "label",
+                expected="Label values",
+                got=given.flat[0],
+                hint=f"pmbm.Label.CAR and so on: {', '.join(label.name for label in Label)}",
+            )
         array = self._shaped("label", np.int64, (n,))
         unknown = np.flatnonzero((array < 0) | (array > _LAST_LABEL))
         if len(unknown):

@@ -1,6 +1,9 @@
-"""Numbers of things, and times, in words."""
+"""Numbers of things, times, and what a validator found, in words."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:
@@ -14,3 +17,30 @@ def duration(seconds: float) -> str:
         if seconds >= 2 * size:
             return f"{seconds / size:.1f} {unit}"
     return f"{seconds:.0f} s"
+
+
+def expected_of(problem: Mapping[str, Any]) -> str:
+    """What was expected, in our words, by one of pydantic's `errors()`."""
+    found = problem.get("ctx", {})
+    match problem["type"]:
+        case "too_short":
+            return f"a list of at least {found['min_length']}"
+        case "too_long":
+            return f"a list of at most {found['max_length']}"
+        case "string_too_short":
+            return f"a text of at least {counted(found['min_length'], 'character')}"
+        case "string_pattern_mismatch":
+            return f"a text of the pattern {found['pattern']}"
+        case "list_type":
+            return "a list"
+        case "dict_type" | "model_type" | "dataclass_type":
+            return "a table"
+        case "string_type":
+            return "a text"
+        case "bool_type":
+            return "true or false"
+        case "int_type" | "int_from_float":
+            return "a whole number"
+        case "float_type":
+            return "a number"
+    return str(problem["msg"]).removeprefix("Input should be ").removeprefix("a valid ")

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pmbm.errors import InputError, nearest_hint
 from pmbm.labels import Label
+from pmbm.wording import expected_of
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -363,11 +364,12 @@ def _explain(error: ValidationError, file: object) -> InputError:
             got=got,
             hint=None if got is None else nearest_hint(got, _KINDS, "kind"),
         )
-    message = str(problem["msg"]).removeprefix("Input should be ").removeprefix("a valid ")
     hint = None
     if kind == "literal_error":
         hint = nearest_hint(problem["input"], _choices(problem), "value")
-    return InputError("bad value", **place, expected=message, got=problem["input"], hint=hint)
+    return InputError(
+        "bad value", **place, expected=expected_of(problem), got=problem["input"], hint=hint
+    )
 
 
 def _choices(problem: Any) -> list[str]:

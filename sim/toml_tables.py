@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from pmbm.errors import InputError, nearest_hint
+from pmbm.wording import expected_of
 
 _T = TypeVar("_T")
 
@@ -57,8 +58,9 @@ def validated(kind: type[_T], table: Any, *, file: object = None) -> _T:
         )
     if error["type"] == "missing":
         raise InputError("missing key", file=file, field=key)
-    problem = error["msg"][0].lower() + error["msg"][1:]
-    raise InputError(problem, file=file, field=key, got=error["input"])
+    raise InputError(
+        "bad value", file=file, field=key, expected=expected_of(error), got=error["input"]
+    )
 
 
 def toml_text(document: Mapping[str, Any], *path: str) -> str:

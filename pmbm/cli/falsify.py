@@ -75,6 +75,7 @@ def command(
     import sys
 
     from pmbm.durable import check_writable, replace_text
+    from pmbm.errors import InputError, Verbatim
     from pmbm.metrics.catalogue import definition
     from pmbm.sim import load_scenario
     from pmbm.sim.search.falsify import FAULTS, Knob, search, swept_knobs
@@ -84,6 +85,14 @@ def command(
     name = f"{scenario.name}_falsified"
     path = out or Path(f"{name}.toml")
     check_writable(path)
+    for key, least, most in varied:
+        if not least < most:
+            raise InputError(
+                "nothing to vary",
+                field=f"--vary {key}",
+                expected="LEAST below MOST",
+                got=Verbatim(f"{least:g} {most:g}"),
+            )
     sign = -1.0 if definition(metric).direction == "higher" else 1.0
     base = scenario.base()
     swept = swept_knobs(scenario)

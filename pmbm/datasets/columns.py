@@ -118,7 +118,8 @@ def _arrow() -> Any:
         import pyarrow
     except ImportError:
         raise InputError(
-            "this dataset needs pyarrow", hint="install it with: pip install 'pmbm[argoverse2]'"
+            "this dataset needs pyarrow",
+            hint="pip install pyarrow; pmbm[argoverse2] and pmbm[waymo] bring it",
         ) from None
     return pyarrow
 

@@ -13,6 +13,7 @@ from pmbm.errors import InputError, nearest_hint
 from pmbm.study.configured import ConfiguredTracker, merged, nested
 from pmbm.study.design import Point, grid, latin_hypercube
 from pmbm.study.study import Cell, Resolve, Study
+from pmbm.wording import expected_of
 
 _TRACKER = "tracker."
 
@@ -210,8 +211,9 @@ def _parse(file: Path) -> StudyForm:
         raise InputError("unknown key", file=file, field=key, hint=hint)
     if problem["type"] == "missing":
         raise InputError("missing key", file=file, field=key)
-    expected = str(problem["msg"]).removeprefix("Input should be ").removeprefix("a valid ")
-    raise InputError("bad value", file=file, field=key, expected=expected, got=problem["input"])
+    raise InputError(
+        "bad value", file=file, field=key, expected=expected_of(problem), got=problem["input"]
+    )
 
 
 def _valid_keys(path: tuple[int | str, ...]) -> list[str]:

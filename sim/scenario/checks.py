@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
-from pmbm.errors import InputError, nearest_hint
+from pmbm.errors import InputError, InputWarning, Verbatim, nearest_hint
 from pmbm.sim import schema
+from pmbm.sim.world.scene import Scene
+
+_SAME_PLACE: Final = 0.5
+"""m by which one road's end may miss the beginning of the next."""
 
 
 def check_clock(form: schema.ScenarioForm, file: str | None) -> None:
@@ -30,6 +36,8 @@ def check_clock(form: schema.ScenarioForm, file: str | None) -> None:
             field="scene.sensor.pose",
             hint="leave out one of scene.ego and scene.sensor.pose",
         )
+    if isinstance(scene, schema.RoadScene):
+        _check_roads(scene, file)
     for name, occluder in scene.occluders.items():
         if (occluder.box is None) == (occluder.polygon is None):
             raise InputError(
@@ -38,6 +46,78 @@ def check_clock(form: schema.ScenarioForm, file: str | None) -> None:
                 field=f"scene.occluders.{name}",
                 expected="exactly one of box and polygon",
             )
+
+
+def _check_roads(scene: schema.RoadScene, file: str | None) -> None:
+    """Refuse roads that lead to one that begins elsewhere, copies that stand in each other, and
+    more arrivals than a lane can carry (InputError)."""
+    for name, road in scene.roads.items():
+        follower = scene.roads.get(road.leads_to or "")
+        end = _end(road, last=True)
+        start = None if follower is None else _end(follower, last=False)
+        if end is None or start is None:
+            continue
+        apart = math.dist(end, start)
+        if apart > _SAME_PLACE:
+            raise InputError(
+                f"road '{name}' does not end where '{road.leads_to}' begins",
+                file=file,
+                field=f"scene.roads.{name}.leads_to",
+                expected=f"a road that begins at ({end[0]:.3g}, {end[1]:.3g})",
+                got=Verbatim(f"({start[0]:.3g}, {start[1]:.3g}), {apart:.3g} m from there"),
+            )
+    for name, actor in scene.actors.items():
+        length, _, _ = actor.size
+        if actor.count > 1 and abs(actor.spacing) < length and not actor.jitter.spawn:
+            raise InputError(
+                "copies stand in each other",
+                file=file,
+                field=f"scene.actors.{name}.spacing",
+                expected=f"at least the length of each, {length:g} m",
+                got=Verbatim(f"{actor.spacing:g} m"),
+            )
+    for name, entry in scene.entries.items():
+        length, _, _ = entry.size
+        if entry.rate * length > entry.speed:
+            raise InputError(
+                "more arrivals than a lane can carry",
+                file=file,
+                field=f"scene.entries.{name}.rate",
+                expected=f"at most {entry.speed / length:.3g} a second, bumper to bumper",
+                got=entry.rate,
+            )
+
+
+def _end(road: schema.Road, *, last: bool) -> tuple[float, float] | None:
+    """Where the road begins or ends, m; None where the file does not say it whole."""
+    if road.start is not None and road.end is not None:
+        x, y = road.end if last else road.start
+        return x, y
+    if road.centre is None or road.radius is None or road.from_deg is None or road.to_deg is None:
+        return None
+    angle = math.radians(road.to_deg if last else road.from_deg)
+    return (
+        road.centre[0] + road.radius * math.cos(angle),
+        road.centre[1] + road.radius * math.sin(angle),
+    )
+
+
+def check_in_range(scene: Scene, form: schema.ScenarioForm, file: str | None) -> None:
+    """Warn of a scene none of whose objects ever came within the sensor's range (InputWarning):
+    its truth is empty, although the file places objects."""
+    world = form.scene
+    placed: list[schema.Track | schema.Actor] = [*world.tracks.values()]
+    if isinstance(world, schema.RoadScene):
+        placed += world.actors.values()
+    if any(map(len, scene.truth)) or not any(each.count for each in placed):
+        return
+    where = f" (file {file})" if file else ""
+    warnings.warn(
+        f"scenario '{scene.name}': no object ever comes within the sensor's range of "
+        f"{scene.site.max_range:g} m, so that the truth is empty{where}",
+        InputWarning,
+        stacklevel=3,
+    )
 
 
 def check_sweep(form: schema.ScenarioForm, document: Mapping[str, Any], file: str | None) -> None:

@@ -22,7 +22,7 @@ from pmbm.geometry import corners
 from pmbm.provenance import provenance
 from pmbm.sim import schema
 from pmbm.sim.scenario.cache import cached
-from pmbm.sim.scenario.checks import check_clock, check_sweep
+from pmbm.sim.scenario.checks import check_clock, check_in_range, check_sweep
 from pmbm.sim.streams import Streams
 from pmbm.sim.toml_tables import read_toml
 from pmbm.sim.world import scripted
@@ -118,7 +118,12 @@ class Scenario:
         document = self._document_at(self._level(level))
         # In the file's order, which numbers the objects.
         key = json.dumps({k: document[k] for k in _SCENE_KEYS if k in document})
-        return _scene(key, self.form.name, int(seed), int(trial))
+        try:
+            scene = _scene(key, self.form.name, int(seed), int(trial))
+        except InputError as error:
+            raise (error if error.file else error.located(file=self.file)) from None
+        check_in_range(scene, self.form, self.file)
+        return scene
 
     def detector(self, level: Any = None) -> DetectorModel:
         """The detector model at a level."""

@@ -56,7 +56,7 @@ def test_the_expected_profiles_ship():
         ({"clutter": {"label": {"car": {"score_mean": 3}}}}, ["label.car.score_mean", "at most 1"]),
         ({"objects": {"typical_size": [4, -2, 1]}}, ["objects.typical_size", "above 0", "-2"]),
         ({"objects": {"typical_size": [4, 2]}}, ["objects.typical_size"]),
-        ({"sensor": {"late_by": 1.5}}, ["sensor.late_by", "integer", "1.5"]),
+        ({"sensor": {"late_by": 1.5}}, ["sensor.late_by", "whole number", "1.5"]),
         ({"score_temperature": 0}, ["score_temperature", "above 0", "0"]),
         ({"objects": {"radial_noise": {"at": [1, 0], "value": [1, 2]}}}, ["radial_noise", "incr"]),
         ({"objects": {"radial_noise": {"att": [1], "value": [1]}}}, ["radial_noise.att", "'at'"]),

@@ -94,3 +94,7 @@ def test_mistakes_are_named():
         falsify("single_straight", "--metric", "gosp")
     with pytest.raises(InputError, match="clutter"):
         falsify("single_straight", "--vary", "detector.cluter.rate", "0", "3")
+    with pytest.raises(
+        InputError, match=r"--vary detector.clutter.rate.*LEAST below MOST, got 3 1"
+    ):
+        falsify("single_straight", "--vary", "detector.clutter.rate", "3", "1")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import pmbm.sim
-from pmbm.errors import InputError
+from pmbm.errors import InputError, InputWarning
 from pmbm.sim import schema
 from pmbm.sim.scenario.scenario import Scenario, catalogue_folder, load_scenario, scenario_names
 from pmbm.sim.toml_tables import read_toml
@@ -41,8 +41,8 @@ levels = [1.5, 3.0]
 """
 
 
-def write(tmp_path, text):
-    file = tmp_path / "small.toml"
+def write(tmp_path, text, name="small.toml"):
+    file = tmp_path / name
     file.write_text(text)
     return file
 
@@ -61,14 +61,14 @@ def write(tmp_path, text):
         ("duration = 2.0", "duration = 0.01", ["duration", "shorter than one frame"]),
         ('"pedestrian"', '"pedestrain"', ["scene.tracks.walker.label", "'pedestrian'"]),
         ("speed = 1.5", "speed = true", ["scene.tracks.walker.speed", "number"]),
-        ("[10.0, 2.0]", "[10.0]", ["scene.tracks.walker.start", "at least 2"]),
+        ("[10.0, 2.0]", "[10.0]", ["scene.tracks.walker.start", "a list of at least 2"]),
         ('"scripted"', '"scriptd"', ["scene.kind", "'scripted'"]),
         ('kind = "scripted"', "", ["scene.kind", "missing"]),
         ('name = "small"', "", ["'name' is missing"]),
         ('name = "small"', 'name = "Small one"', ["name", "pattern"]),
         ("speed = 10.0", "speed = 10.0 10", ["not TOML", "line 19"]),
         ("levels = [1.5, 3.0]", "levels = [1.5, -3.0]", ["scene.tracks.walker.speed", "-3.0"]),
-        ("levels = [1.5, 3.0]", "levels = [1.5]", ["sweep.levels", "at least 2"]),
+        ("levels = [1.5, 3.0]", "levels = [1.5]", ["sweep.levels", "a list of at least 2"]),
         ("levels = [1.5, 3.0]", "levels = [3.0, 3.0]", ["sweep.levels", "once"]),
         ("levels = [1.5, 3.0]", "levels = [1.5, 3.0]\ndefault = 2.0", ["sweep.default", "2.0"]),
         ("walker.speed", "walker.speeed", ["scene.tracks.walker.speeed", "'speed'"]),
@@ -253,3 +253,78 @@ def test_every_file_of_the_catalogue_says_what_it_stresses():
         path = catalogue_folder() / f"{name}.toml"
         assert path.read_text().startswith("# ")
         assert read_toml(path)["name"] == name
+
+
+ROAD = """
+name = "road"
+stresses = "what a road file may not say"
+duration = 2.0
+[scene]
+kind = "road"
+[scene.roads.main]
+start = [0.0, 0.0]
+end = [200.0, 0.0]
+leads_to = "bend"
+[scene.roads.bend]
+centre = [200.0, 50.0]
+radius = 50.0
+from_deg = -90.0
+to_deg = 0.0
+[scene.ego]
+road = "main"
+position = 20.0
+speed = 10.0
+[scene.actors.truck]
+label = "truck"
+road = "main"
+position = 120.0
+count = 3
+spacing = -25.0
+speed = 10.0
+[scene.entries.in]
+road = "main"
+rate = 0.2
+speed = 10.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            "centre = [200.0, 50.0]",
+            "centre = [200.0, 57.0]",
+            ["scene.roads.main.leads_to", "(200, 0)", "(200, 7), 7 m from there"],
+        ),
+        ("spacing = -25.0", "spacing = -12.0", ["scene.actors.truck.spacing", "14 m", "-12 m"]),
+        ("rate = 0.2", "rate = 300.0", ["scene.entries.in.rate", "at most 2 a second", "300"]),
+    ],
+)
+def test_roads_that_cannot_be_are_refused(tmp_path, old, new, words):
+    load_scenario(write(tmp_path, ROAD, "road.toml"))
+    with pytest.raises(InputError) as caught:
+        load_scenario(write(tmp_path, ROAD.replace(old, new), "road.toml"))
+    for word in (*words, "road.toml"):
+        assert word in str(caught.value)
+
+
+def test_traffic_that_never_comes_in_range_is_told(tmp_path):
+    far = SMALL.replace("[10.0, 2.0]", "[10000.0, 2.0]").replace("[-20.0, -5.0]", "[0.0, 2e4]")
+    told = r"'small': no object ever comes within .*range of 60 m.*small\.toml"
+    with pytest.warns(InputWarning, match=told):
+        load_scenario(write(tmp_path, far)).record(1)
+    away = ROAD.replace(
+        "[scene.ego]", "[scene.roads.away]\nstart = [0.0, 1e4]\nend = [9.0, 1e4]\n[scene.ego]"
+    )
+    away = away.replace('road = "main"\nposition = 20.0', 'road = "away"\nposition = 2.0')
+    with pytest.warns(InputWarning, match="no object ever comes within"):
+        load_scenario(write(tmp_path, away, "road.toml")).record(1)
+
+
+def test_what_a_scene_refuses_names_the_file(tmp_path):
+    crash = ROAD.replace("spacing = -25.0", "spacing = -15.0").replace(
+        'road = "main"\nposition = 20.0\nspeed = 10.0',
+        'road = "main"\nposition = 60.0\nspeed = 30.0\ndriver = "cruise"',
+    )
+    with pytest.raises(InputError, match=r"crash.*road.toml"):
+        load_scenario(write(tmp_path, crash, "road.toml")).record(1)

@@ -2,11 +2,14 @@
 
 import dataclasses
 import pickle
+import sys
 
 import numpy as np
 import pytest
 
+from pmbm.datasets.columns import read_columns
 from pmbm.errors import BaselineMismatch, InputError, nearest_hint
+from pmbm.tracking import run
 from pmbm.types import (
     CLUTTER,
     Detections,
@@ -85,7 +88,8 @@ def test_arrays_are_converted_frozen_and_unshared():
         ({"score": [0.2, 1.3]}, ["score", "rows 1", "[0, 1]", "1.3"]),
         ({"score": [0.2]}, ["score", "shape (2,)", "shape (1,)"]),
         ({"label": [0, 9]}, ["label", "rows 1", "9"]),
-        ({"label": ["car", "bus"]}, ["label", "array of int64"]),
+        ({"label": ["car", "bus"]}, ["label", "Label values", "'car'", "pmbm.Label.CAR"]),
+        ({"label": [None, 1]}, ["label", "array of int64"]),
         ({"yaw": [0.0, np.inf]}, ["yaw", "rows 1"]),
         ({"time": np.nan}, ["time", "finite number"]),
         ({"time": "soon"}, ["time", "a number", "'soon'"]),
@@ -199,3 +203,25 @@ def test_errors_pickle_locate_and_hint():
     assert type(pickle.loads(pickle.dumps(BaselineMismatch("other bits")))) is BaselineMismatch
     assert nearest_hint("crosing", ["crossing", "merge"]) == "did you mean 'crossing'?"
     assert nearest_hint("zzz", ["crossing", "merge"]) == "valid names: crossing, merge"
+    # Far from all of them.
+    assert nearest_hint("nope", ["compare", "run"]) == "valid names: compare, run"
+
+
+class Late:
+    """Reports what it was given, as of another time."""
+
+    def step(self, detections):
+        return Tracks.empty(detections.time + 0.1)
+
+
+def test_reports_of_another_time_are_refused():
+    with pytest.raises(InputError) as caught:
+        run(Late(), recording())
+    for word in ("Late.step", "frame 0", "expected that of the detections, 0 s", "got 0.1 s"):
+        assert word in str(caught.value)
+
+
+def test_who_lacks_pyarrow_is_told_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(InputError, match=r"pip install pyarrow; .*pmbm\[waymo\]"):
+        read_columns(tmp_path / "x.parquet", ["a"], parquet=True)

@@ -174,7 +174,7 @@ def test_the_hash_is_the_same_in_another_process(tmp_path):
         (SMALL + "sceds = 1", "unknown key .*sceds.*did you mean 'seed'"),
         (SMALL + "[gate]\nmargn = 1.0", "gate.margn.*did you mean 'margin'"),
         (SMALL + "[sweep]\ngird = {}", "sweep.gird.*did you mean 'grid'"),
-        (SMALL.replace("3", '"3"'), "field trials.*expected integer.*got '3'"),
+        (SMALL.replace("3", '"3"'), "field trials.*expected a whole number.*got '3'"),
         (SMALL.replace("3", "0"), "field trials.*greater than or equal to 1"),
         (SMALL.replace("convoy", "convey"), "no scenario 'convey'.*did you mean 'convoy'"),
         (SMALL.replace("study_worlds:Echo", "pmbn"), "no tracker 'pmbn'.*did you mean 'pmbm'"),
