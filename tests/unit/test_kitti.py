@@ -278,7 +278,7 @@ def test_what_the_rules_ignore_is_not_observable(folder):
         (lambda root: (root / "pose" / "0000.txt").write_text("2 0 0 0 0 1 0 0 0 0 1 0\n" * 3),
          "not a rotation.*frame 0"),
         (lambda root: (root / "calib" / "0000.txt").write_text("P1: 1 2 3\n"),
-         "matrix is missing.*P2.*did you mean 'P1'"),
+         "matrix is missing.*P2.*valid names: P1"),
     ],
 )  # fmt: skip
 def test_missing_things_fail_closed(folder, spoil, message):
