@@ -171,9 +171,10 @@ def track(factory: TrackerFactory, recording: Recording, seed: int) -> TrackSequ
 def run(tracker: Tracker, recording: Recording, *, record: bool = False) -> TrackSequence:
     """Step `tracker` through the deliveries of `recording`.
 
-    A delivery older than the last step (a late frame) is dropped and counted.  The tracker is
-    handed `Detections` alone: truth and origins are out of its reach.  With `record=True` what its
-    `inspect()` gives after each step is kept.
+    A delivery older than the last step (a late frame) is dropped and counted; those of several
+    sensors come as `Recording.handed_over` has them, and of several steps in one frame the last
+    report counts.  The tracker is handed `Detections` alone: truth and origins are out of its
+    reach.  With `record=True` what its `inspect()` gives after each step is kept.
 
     Raises InputError where the tracker has no `step`, or gives something that is not `Tracks` or
     not of the detections' time.
@@ -184,17 +185,15 @@ def run(tracker: Tracker, recording: Recording, *, record: bool = False) -> Trac
             expected="an object with step(detections) -> Tracks",
             got=type(tracker).__name__,
         )
-    steps: list[Tracks] = []
-    frames: list[int] = []
-    seconds: list[float] = []
-    inspections: list[Any] = []
-    last_time = -np.inf
-    for detections, frame in zip(recording.detections, recording.frame.tolist(), strict=True):
-        if detections.time < last_time or (frames and frame <= frames[-1]):
-            continue
+    steps: dict[int, Tracks] = {}
+    seconds: dict[int, float] = {}
+    inspections: dict[int, Any] = {}
+    given = recording.handed_over().tolist()
+    for delivery in given:
+        detections, frame = recording.detections[delivery], int(recording.frame[delivery])
         start = time.process_time()
         tracks = tracker.step(detections)
-        seconds.append(time.process_time() - start)
+        seconds[frame] = seconds.get(frame, 0.0) + time.process_time() - start
         if not isinstance(tracks, Tracks):
             raise InputError(
                 f"{type(tracker).__name__}.step returned something else than Tracks",
@@ -210,15 +209,13 @@ def run(tracker: Tracker, recording: Recording, *, record: bool = False) -> Trac
                 expected=f"that of the detections, {detections.time:g} s",
                 got=Verbatim(f"{tracks.time:g} s"),
             )
-        steps.append(tracks)
-        frames.append(frame)
+        steps[frame] = tracks
         if record and hasattr(tracker, "inspect"):
-            inspections.append(tracker.inspect())
-        last_time = detections.time
+            inspections[frame] = tracker.inspect()
     return TrackSequence(
-        steps=tuple(steps),
-        frame=np.array(frames, dtype=np.int64),
-        seconds=np.array(seconds),
-        dropped=len(recording.detections) - len(steps),
-        inspections=tuple(inspections) if inspections else None,
+        steps=tuple(steps.values()),
+        frame=np.array(list(steps), dtype=np.int64),
+        seconds=np.array(list(seconds.values())),
+        dropped=len(recording.detections) - len(given),
+        inspections=tuple(inspections.values()) if inspections else None,
     )

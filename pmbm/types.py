@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, Final, TypeVar, overload
 
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmbm.arrays import BoolArray, FloatArray, IntArray
-from pmbm.errors import NOT_YET_CONFIRMED, InputError
+from pmbm.errors import NOT_YET_CONFIRMED, InputError, nearest_hint
 from pmbm.geometry import normal_density, normal_in_polygon
 from pmbm.labels import Label
 from pmbm.validation import Checker, frozen
@@ -41,6 +41,7 @@ __all__ = [
     "GroundTruth",
     "IntArray",
     "Label",
+    "MountedSensor",
     "Recording",
     "Site",
     "TrackSequence",
@@ -52,10 +53,16 @@ CLUTTER: Final = -1
 ABSENT: Final = -1
 """In tables of indices: there is no row to point to."""
 
+_IF_SET: Final = {"digest": "if set"}
+"""Of fields that came later: where they are empty, hashes are what they were without them."""
+
 _PAIRS_AT_ONCE = 1_000_000
 """Points times components looked at together: some tens of MB."""
 _IDS_SHOWN = 8
 """Track ids that a repr shows."""
+
+_OF_THE_SENSOR = ("sensor_pose", "sensor_velocity")
+"""Arrays that have no row for each detection."""
 
 _Table = TypeVar("_Table", bound="Detections | GroundTruth | GaussianMixture | Tracks")
 _Frame = TypeVar("_Frame", bound="Detections | GroundTruth")
@@ -73,6 +80,11 @@ class Detections:
     label (N,) : `Label` values.
     sensor_pose (3,) : x, y, yaw of the sensor in the world.
     raw_score (N,) or None : the detector's own score on its own scale, where it differs.
+    sensor : name of the sensor, of those of the `Site`; empty where there is only one.
+    radial_velocity (N,) or None : rate of change of the distance from the sensor, m/s, where it is
+        measured: of the object's velocity less the sensor's the part along the line of sight.
+    sensor_velocity (2,) or None : of the sensor itself in the world, m/s, with what a turn of the
+        vehicle adds at its mount; given beside `radial_velocity`.
     """
 
     time: float
@@ -83,6 +95,9 @@ class Detections:
     label: NDArray[np.int8]
     sensor_pose: FloatArray = field(default_factory=lambda: np.zeros(3))
     raw_score: FloatArray | None = None
+    sensor: str = field(default="", metadata=_IF_SET)
+    radial_velocity: FloatArray | None = field(default=None, metadata=_IF_SET)
+    sensor_velocity: FloatArray | None = field(default=None, metadata=_IF_SET)
 
     def __post_init__(self) -> None:
         door = Checker(self, "detections")
@@ -94,6 +109,19 @@ class Detections:
         door.floats("sensor_pose", (3,))
         if self.raw_score is not None:
             door.floats("raw_score", (n,))
+        if not isinstance(self.sensor, str):
+            raise InputError("detections", field="sensor", expected="a name", got=self.sensor)
+        if self.radial_velocity is not None:
+            door.floats("radial_velocity", (n,))
+            if self.sensor_velocity is None:
+                raise InputError(
+                    "detections: radial velocities without that of the sensor",
+                    field="sensor_velocity",
+                    expected="(2,) m/s in the world",
+                    got=None,
+                )
+        if self.sensor_velocity is not None:
+            door.floats("sensor_velocity", (2,))
 
     def __len__(self) -> int:
         return len(self.position)
@@ -108,7 +136,9 @@ class Detections:
         return np.hypot(self.position[:, 0] - x, self.position[:, 1] - y)
 
     @classmethod
-    def empty(cls, time: float, sensor_pose: ArrayLike = (0.0, 0.0, 0.0)) -> Detections:
+    def empty(
+        cls, time: float, sensor_pose: ArrayLike = (0.0, 0.0, 0.0), sensor: str = ""
+    ) -> Detections:
         """A frame in which the sensor looked and saw nothing."""
         return cls(
             time=time,
@@ -118,6 +148,7 @@ class Detections:
             score=np.zeros(0),
             label=np.zeros(0, np.int8),
             sensor_pose=np.asarray(sensor_pose, dtype=np.float64),
+            sensor=sensor,
         )
 
     def take(self, rows: ArrayLike) -> Detections:
@@ -347,6 +378,49 @@ class TrackSequence(Sequence[Tracks]):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class MountedSensor:
+    """One of several sensors: where it is mounted and what it can see.
+
+    name : as `Detections.sensor` has it.
+    mount (3,) : x forward, y left, m, and yaw, rad, in the frame of what carries it.
+    fov_centre, fov_half_angle, max_range : its field of view, as in `Site`.
+    latency : s from a measurement to its delivery.
+    """
+
+    name: str
+    mount: FloatArray = field(default_factory=lambda: np.zeros(3))
+    fov_centre: float = 0.0
+    fov_half_angle: float = float(np.pi)
+    max_range: float = 100.0
+    latency: float = 0.0
+
+    def __post_init__(self) -> None:
+        door = Checker(self, f"sensor '{self.name}'")
+        if not isinstance(self.name, str) or not self.name:
+            raise InputError("mounted sensor", field="name", expected="a name", got=self.name)
+        door.floats("mount", (3,))
+        door.number("fov_centre")
+        door.number("fov_half_angle", above=0.0, at_most=float(np.pi))
+        door.number("max_range", above=0.0)
+        door.number("latency", at_least=0.0)
+
+    def pose_on(self, carrier: FloatArray) -> FloatArray:
+        """The sensor's pose (...,3) in the world where its carrier's is `carrier` (...,3)."""
+        x, y, yaw = np.moveaxis(carrier, -1, 0)
+        forward, left, turn = self.mount
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        return np.stack(
+            [x + forward * cos - left * sin, y + forward * sin + left * cos, yaw + turn], axis=-1
+        )
+
+    def carrier_of(self, pose: FloatArray) -> FloatArray:
+        """The carrier's pose (3,) where the sensor's is `pose` (3,)."""
+        yaw = pose[2] - self.mount[2]
+        at_origin = self.pose_on(np.array([0.0, 0.0, yaw]))
+        return np.array([pose[0] - at_origin[0], pose[1] - at_origin[1], yaw])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Site:
     """Where the sensor stands and what it can see: everything that does not move.
 
@@ -355,6 +429,8 @@ class Site:
         is all round.
     max_range : m.
     drivable_area : polygons, each (V,2), in the world, or None where unknown.
+    sensors : where there are several, each with a view of its own; the fields above then say where
+        objects are followed at all, about what carries the sensors.
     """
 
     occluders: tuple[FloatArray, ...] = ()
@@ -362,9 +438,14 @@ class Site:
     fov_half_angle: float = float(np.pi)
     max_range: float = 100.0
     drivable_area: tuple[FloatArray, ...] | None = None
+    sensors: tuple[MountedSensor, ...] = field(default=(), metadata=_IF_SET)
 
     def __post_init__(self) -> None:
         door = Checker(self, "site")
+        object.__setattr__(self, "sensors", tuple(self.sensors))
+        names = [one.name for one in self.sensors]
+        if len(set(names)) < len(names):
+            raise InputError("site", field="sensors", expected="each name once", got=names)
         object.__setattr__(self, "occluders", door.polygons("occluders", self.occluders))
         if self.drivable_area is not None:
             object.__setattr__(
@@ -381,6 +462,30 @@ class Site:
             f"range {self.max_range:g} m)"
         )
 
+    def sensor(self, name: str) -> MountedSensor | None:
+        """The sensor of that name; None where the site names none at all.
+
+        Raises InputError, with the nearest name, where it names others.
+        """
+        for one in self.sensors:
+            if one.name == name:
+                return one
+        if not self.sensors:
+            return None
+        names = [one.name for one in self.sensors]
+        raise InputError(
+            f"the site has no sensor '{name}'",
+            field="sensor",
+            expected=" or ".join(names),
+            got=name,
+            hint=nearest_hint(name, names, "sensor"),
+        )
+
+    @property
+    def latency(self) -> float:
+        """Of the slowest sensor, s."""
+        return max((one.latency for one in self.sensors), default=0.0)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
@@ -396,6 +501,8 @@ class Recording:
     stamp (F,) : int64 time in the source's own unit.
     object_name : id -> the source's own id.
     provenance : what is needed to make the recording again.
+    observable_by : where there are several sensors, the name of each -> per frame (N,) what it
+        could see; the truth is observable where any could.
     """
 
     name: str
@@ -407,10 +514,12 @@ class Recording:
     origin: tuple[IntArray, ...] | None = None
     object_name: Mapping[int, str] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    observable_by: Mapping[str, tuple[BoolArray, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "truth", tuple(self.truth))
         object.__setattr__(self, "detections", tuple(self.detections))
+        object.__setattr__(self, "observable_by", MappingProxyType(dict(self.observable_by)))
         object.__setattr__(self, "object_name", MappingProxyType(dict(self.object_name)))
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
         door = Checker(self, f"recording '{self.name}'")
@@ -436,6 +545,8 @@ class Recording:
             )
         if self.origin is not None:
             self._check_origin()
+        for name in {one.sensor for one in self.detections}:
+            self.site.sensor(name)
 
     def _check_origin(self) -> None:
         assert self.origin is not None
@@ -475,11 +586,56 @@ class Recording:
             f"{counted(objects, 'object')}, {counted(boxes, 'detection')})"
         )
 
+    def handed_over(self) -> IntArray:
+        """The deliveries (S,) that a tracker is given, in that order.
+
+        That of their arrival; but each is held back until the slowest sensor's `latency` after its
+        measurement, so that those of faster sensors wait for it.  What is older than one before it
+        is left out, and so is a second delivery of a frame by one sensor.
+        """
+        wait, slow = self.site.latency, {one.name: one.latency for one in self.site.sensors}
+        time = np.array([one.time for one in self.detections])
+        arrived = np.maximum.accumulate(
+            time + np.array([slow.get(one.sensor, 0.0) for one in self.detections])
+        )
+        order = np.argsort(np.maximum(arrived, time + wait), kind="stable")
+        kept: list[int] = []
+        last_time, last_frame = -np.inf, -1
+        given: set[str] = set()
+        for delivery in order.tolist():
+            sensor, frame = self.detections[delivery].sensor, int(self.frame[delivery])
+            if frame > last_frame:
+                given = set()
+            if time[delivery] < last_time or frame < last_frame or sensor in given:
+                continue
+            kept.append(delivery)
+            given.add(sensor)
+            last_time, last_frame = float(time[delivery]), frame
+        return np.array(kept, dtype=np.int64)
+
+    def seen_by(self, sensor: str) -> Recording:
+        """The same recording, where observable is what this sensor could see.
+
+        Raises InputError, with the nearest name, where there is no such sensor.
+        """
+        if sensor not in self.observable_by:
+            raise InputError(
+                f"recording '{self.name}' does not say what '{sensor}' could see",
+                field="sensor",
+                hint=nearest_hint(sensor, self.observable_by, "sensor"),
+            )
+        truth = tuple(
+            replace(frame, observable=flags)
+            for frame, flags in zip(self.truth, self.observable_by[sensor], strict=True)
+        )
+        return replace(self, truth=truth)
+
     def __reduce__(self) -> tuple[Any, ...]:
         # Mapping proxies do not pickle; plain dicts do, and become proxies again on arrival.
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         values["object_name"] = dict(self.object_name)
         values["provenance"] = dict(self.provenance)
+        values["observable_by"] = dict(self.observable_by)
         return _make_recording, (values,)
 
     def truth_digest(self) -> str:
@@ -527,7 +683,7 @@ def _take(value: _Table, rows: ArrayLike) -> _Table:
     picked = {}
     for f in fields(value):
         content = getattr(value, f.name)
-        per_row = isinstance(content, np.ndarray) and f.name != "sensor_pose"
+        per_row = isinstance(content, np.ndarray) and f.name not in _OF_THE_SENSOR
         picked[f.name] = content[index] if per_row else content
     return type(value)(**picked)
 
@@ -560,7 +716,7 @@ def checked_rows(
 
     Raises InputError as the value of the first frame that is wrong does.
     """
-    given = dict(columns)
+    given: dict[str, Any] = dict(columns)
     ids, frame = given.get("id"), np.repeat(np.arange(len(count)), count)
     good = bool(np.isfinite(time).all())
     if sensor_pose is not None:
@@ -576,9 +732,11 @@ def checked_rows(
         good = False
     if not good:
         for index, at in enumerate(time):
-            pose = {} if sensor_pose is None else {"sensor_pose": sensor_pose[index]}
             rows = frame == index
-            kind(time=at, **{name: values[rows] for name, values in columns.items()}, **pose)
+            one: dict[str, Any] = {name: values[rows] for name, values in columns.items()}
+            if sensor_pose is not None:
+                one["sensor_pose"] = sensor_pose[index]
+            kind(time=at, **one)
     checked = {name: getattr(whole, name) for name in columns}
     if ids is not None:
         checked["id"] = frozen(np.asarray(ids, np.int64))
@@ -591,16 +749,17 @@ def frames_of(
     count: IntArray,
     table: Mapping[str, NDArray[Any]],
     sensor_pose: FloatArray | None = None,
+    **constant: Any,
 ) -> tuple[_Frame, ...]:
-    """The values of many frames from their `checked_rows`."""
-    absent = {f.name: None for f in fields(kind)}
+    """The values of many frames from their `checked_rows`; `constant` are the same in all."""
+    absent = {f.name: None if f.default is MISSING else f.default for f in fields(kind)}
     end = np.cumsum(count).tolist()
     poses = None if sensor_pose is None else frozen(np.array(sensor_pose, np.float64))
     found = []
     for index, (at, start, stop) in enumerate(zip(time, [0, *end], end, strict=False)):
         rows = {name: values[start:stop] for name, values in table.items()}
         pose = {} if poses is None else {"sensor_pose": poses[index]}
-        found.append(unchecked(kind, **{**absent, "time": float(at), **rows, **pose}))
+        found.append(unchecked(kind, **{**absent, **constant, "time": float(at), **rows, **pose}))
     return tuple(found)
 
 
@@ -624,6 +783,11 @@ def _feed(hasher: Any, part: Any) -> None:
     elif hasattr(part, "__dataclass_fields__"):
         hasher.update(f"{type(part).__name__};".encode())
         for f in fields(part):
-            _feed(hasher, getattr(part, f.name))
+            content = getattr(part, f.name)
+            if f.metadata.get("digest") == "if set":
+                if content is None or (not isinstance(content, np.ndarray) and not content):
+                    continue
+                hasher.update(f"{f.name};".encode())
+            _feed(hasher, content)
     else:
         hasher.update(f"{type(part).__name__} {part!r};".encode())

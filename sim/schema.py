@@ -51,6 +51,30 @@ class SensorForm(Form):
     fov_centre_deg: float = 0.0
 
 
+class MountedSensorForm(Form):
+    """One of several sensors, on what carries the scene's sensor: the ego, or a mast."""
+
+    mount: Pose = Field(
+        default=[0.0, 0.0, 0.0],
+        description="x forward, y left, yaw_deg, in the frame of what carries it",
+    )
+    max_range: Positive | None = Field(
+        default=None, description="default: as far as the scene's sensor reaches, less the offset"
+    )
+    fov_deg: Annotated[float, Field(gt=0, le=360)] = 360.0
+    fov_centre_deg: float = 0.0
+    rate: Annotated[int, Field(ge=1, le=100)] | None = Field(
+        default=None, description="looks a second, a divisor of the scenario's rate, the default"
+    )
+    phase: NotNegative = Field(
+        default=0.0, description="s of its first look, a whole number of the scenario's frames"
+    )
+    latency: NotNegative = Field(default=0.0, description="s from a look to its delivery")
+    detector: dict[str, Any] | None = Field(
+        default=None, description="as the scenario's table of that name, which is the default"
+    )
+
+
 class Occluder(Form):
     """A static thing that hides what is behind it: a box, or a convex polygon."""
 
@@ -306,6 +330,9 @@ class ScenarioForm(Form):
     warmup: NotNegative = Field(default=0.0, description="s simulated before the first frame")
     scene: AnyScene
     detector: dict[str, Any] = {"profile": "nominal"}
+    sensors: dict[str, MountedSensorForm] = Field(
+        default={}, description="several sensors instead of one, by name"
+    )
     sweep: Sweep | None = None
     check: Check = Check()
 

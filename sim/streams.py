@@ -1,8 +1,9 @@
 """Keyed random streams: every draw has its own place, so that nothing moves anything else.
 
-There is one generator per (seed, trial, purpose, object).  It gives a fixed number of uniforms per
-frame, all frames at once, and the row is the frame's number.  Each quantity is mapped from its own
-uniforms by the inverse of its distribution function.  So one knob, one object or one clutter box
+There is one generator per (seed, trial, purpose, object), and where there are several sensors for
+each of them.  It gives a fixed number of uniforms per frame, all frames at once, and the row is the
+frame's number.  Each quantity is mapped from its own uniforms by the inverse of its distribution
+function.  So one knob, one object or one clutter box
 more changes no other draw, and two configurations that are run over the same seed and trial share
 their luck (common random numbers).
 """
@@ -10,6 +11,7 @@ their luck (common random numbers).
 from __future__ import annotations
 
 import enum
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -43,6 +45,8 @@ class Purpose(enum.IntEnum):
     LASTING = 15
     ECHO = 16
     COMPANION = 17
+    RADIAL = 18
+    CLUTTER_SPEED = 19
 
 
 @dataclass(frozen=True)
@@ -51,14 +55,20 @@ class Streams:
 
     seed : of the study, or given to `record`.
     trial : number of the trial; `record(seed)` is trial 0.
+    sensor : name of the sensor that draws, where there are several: each has streams of its own.
     """
 
     seed: int
     trial: int = 0
+    sensor: str = ""
 
     def generator(self, purpose: Purpose, object_id: int = 0) -> np.random.Generator:
         """The generator of one purpose and object."""
-        key = (self.trial, int(purpose), int(object_id) % 2**64)
+        key: tuple[int, ...] = (self.trial, int(purpose), int(object_id) % 2**64)
+        if self.sensor:
+            # Always two words of 32 bits, so that no key of one sensor is another's.
+            name = hashlib.sha256(self.sensor.encode()).digest()[:8]
+            key = (*key, int.from_bytes(name, "big") | 2**63)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
     def uniforms(self, purpose: Purpose, frames: int, width: int, object_id: int = 0) -> FloatArray:

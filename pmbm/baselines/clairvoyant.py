@@ -68,15 +68,12 @@ def clairvoyant(recording: Recording, config: ClairvoyantConfig | None = None) -
         )
     config = config or ClairvoyantConfig()
     known: dict[int, _Known] = {}
-    steps: list[Tracks] = []
-    frames: list[int] = []
+    steps: dict[int, Tracks] = {}
+    given = recording.handed_over().tolist()
     time = -np.inf
-    for detections, frame, origin in zip(
-        recording.detections, recording.frame.tolist(), recording.origin, strict=True
-    ):
-        if detections.time < time or (frames and frame <= frames[-1]):
-            continue
-        truth = recording.truth[frame]
+    for delivery in given:
+        detections, frame = recording.detections[delivery], int(recording.frame[delivery])
+        origin, truth = recording.origin[delivery], recording.truth[frame]
         elapsed, time = detections.time - time, detections.time
         present = set(truth.id.tolist())
         known = {object_id: value for object_id, value in known.items() if object_id in present}
@@ -84,12 +81,11 @@ def clairvoyant(recording: Recording, config: ClairvoyantConfig | None = None) -
             _predict(value.kalman, elapsed, config)
         for row in np.flatnonzero(origin != CLUTTER).tolist():
             _look(known, int(truth.id[origin[row]]), detections, row, config)
-        steps.append(_report(known, truth, time))
-        frames.append(frame)
+        steps[frame] = _report(known, truth, time)
     return TrackSequence(
-        steps=tuple(steps),
-        frame=np.array(frames, dtype=np.int64),
-        dropped=len(recording.detections) - len(steps),
+        steps=tuple(steps.values()),
+        frame=np.array(list(steps), dtype=np.int64),
+        dropped=len(recording.detections) - len(given),
     )
 
 

@@ -20,6 +20,11 @@ from pmbm.filter.hypotheses.gating import (
     first_detections,
     gated_pairs,
 )
+from pmbm.filter.hypotheses.radar_pairs import (
+    UpdatedPairs,
+    log_first_detection,
+    updated_pairs,
+)
 from pmbm.filter.hypotheses.weights import log_of, log_of_each
 from pmbm.filter.models.sensor import ObservationModel
 from pmbm.filter.scan import Scan
@@ -38,7 +43,8 @@ class Association:
         then come the detected ones of the pairs `known`, then a new track of each measurement.
     dropped : how many children were too unlikely to be kept.
     known : pairs of local hypotheses and measurements.
-    undetected : density of first detections.
+    undetected : density of first detections; or, by a radar, pairs of undetected ones and
+        measurements.
     log_missed (H,) : log(1 - r P_D).  existence_if_missed (H,) : r of a missed track.
     known_if_missed : means (H,4) and covariances (H,4,4) of missed tracks.
     detection (H,), detection_undetected (P,) : P_D of local hypotheses and of PPP components.
@@ -50,8 +56,8 @@ class Association:
 
     hypotheses: Globals
     dropped: int
-    known: GatedPairs
-    undetected: FirstDetectionDensity
+    known: GatedPairs | UpdatedPairs
+    undetected: FirstDetectionDensity | UpdatedPairs
     log_missed: FloatArray
     existence_if_missed: FloatArray
     known_if_missed: tuple[FloatArray, FloatArray]
@@ -74,17 +80,25 @@ def associate(
     """
     local, table, z = density.local, density.hypotheses, scan.position
     detection, detection_if_seen, known_if_missed = sensor.of_tracks(local)
-    known = gated_pairs(
-        local.mean, local.cov, local.existence * detection_if_seen, z, sensor.R, reduction.gate
-    )
+    prior, radar = local.existence * detection_if_seen, scan.radar
+    known: GatedPairs | UpdatedPairs
+    if radar is None:
+        known = gated_pairs(local.mean, local.cov, prior, z, sensor.R, reduction.gate)
+    else:
+        log_prior = log_of_each(prior)
+        known = updated_pairs(local.mean, local.cov, log_prior, z, radar, reduction.gate)
     existence_if_missed, not_seen = sensor.missed(local.existence, detection)
     log_missed = np.log(np.maximum(not_seen, math.exp(LOG_TINY)))
 
     ppp = density.undetected
     detection_undetected, undetected_if_seen, if_missed = sensor.of_undetected(ppp.mean, ppp.cov)
-    undetected, log_e = first_detections(
-        ppp, ppp.log_weight + log_of_each(undetected_if_seen), z, sensor.R, reduction.gate
-    )
+    log_detected = ppp.log_weight + log_of_each(undetected_if_seen)
+    undetected: FirstDetectionDensity | UpdatedPairs
+    if radar is None:
+        undetected, log_e = first_detections(ppp, log_detected, z, sensor.R, reduction.gate)
+    else:
+        undetected = updated_pairs(ppp.mean, ppp.cov, log_detected, z, radar, reduction.gate)
+        log_e = log_first_detection(undetected, len(z))
     log_birth_evidence = log_e + log_of_each(scan.first[:, 0]) + log_of_each(scan.ratio_if_first())
     log_clutter = log_of(sensor.clutter) + log_of_each(scan.first[:, 1])
     ratio = scan.ratio_if_known(local.marks.source, known.row, known.measurement)

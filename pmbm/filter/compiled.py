@@ -16,14 +16,14 @@ import numpy as np
 from pmbm.filter import estimation
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Globals, Index, Locals, Marks, Mixture, RecycledFrom
-from pmbm.filter.frame import Frame, undetected_in
+from pmbm.filter.frame import Frame, split_by_view, undetected_in
 from pmbm.filter.hypotheses import branching, clusters
 from pmbm.filter.hypotheses.weights import log_of
 from pmbm.filter.identity.recycling import MOST_OF_ONE
 from pmbm.filter.models import occlusion, rays
 from pmbm.filter.models.sensor import LEAST_VISIBLE_TO_BE_SEEN
 from pmbm.filter.prediction import predict_marks
-from pmbm.filter.reduction import ALIKE, AS_HEAVY, FEW, ReductionStats
+from pmbm.filter.reduction import ALIKE, AS_HEAVY, FEW, ReductionStats, with_more_undetected
 from pmbm.types import FloatArray, Site
 
 _OCCLUSION = (
@@ -39,15 +39,25 @@ _OCCLUSION = (
 _PARTS = ("predict", "associate", "update", "reduce")
 
 
+def has(frame: Frame) -> bool:
+    """Whether this step is compiled for a frame: its measurements are positions of one covariance,
+    with boxes and labels that count."""
+    return frame.scan.radar is None and frame.sensor.describes
+
+
 def advance(
     native: ModuleType, model: PMBMConfig, site: Site, density: Density, frame: Frame
 ) -> tuple[Density, ReductionStats, Mapping[str, float]]:
     """The density after a frame, what the reductions removed, and what each part took, s."""
     local, scan, transition = density.local, frame.scan, frame.transition
     undetected, dropped = undetected_in(model, density.undetected, frame)
+    aside = None
+    if frame.partial and not model.birth.place_by_place:
+        undetected, aside, denser = split_by_view(undetected, frame)
+        scan = scan.with_denser_births(denser)
     marks = predict_marks(local.marks, transition)
-    sensor = model.sensor.over(frame.view, place_by_place=model.birth.place_by_place)
-    hides = model.sensor.occlusion and (model.birth.place_by_place or len(local) > 0)
+    sensor = frame.sensor.over(frame.view, place_by_place=model.birth.place_by_place)
+    hides = frame.sensor.occlusion and (model.birth.place_by_place or len(local) > 0)
     prune, merge_below = model.birth.thresholds(model.reduction.prune_undetected)
     recycled = undetected.recycled_from
     limits = model.reduction
@@ -67,7 +77,7 @@ def advance(
             local.label,
             local.history,
             marks.source,
-            model.sensor.detection.of_tracks(marks),
+            frame.detection.of_tracks(marks),
         ),
         density.hypotheses.columns(),
         density.track_id,
@@ -84,7 +94,7 @@ def advance(
         (
             sensor.R,
             sensor.clutter,
-            model.sensor.detection.of_undetected(),
+            frame.detection.of_undetected(),
             (frame.view.pose, frame.view.centre, frame.view.half_angle, frame.view.max_range),
             hides,
             sensor.undetected_in_detail,
@@ -96,7 +106,7 @@ def advance(
             transition.F,
             transition.Q,
             transition.survival,
-            limits.gate,
+            limits.gate if frame.sensor.gate is None else frame.sensor.gate,
             limits.recycle,
             log_of(prune),
             merge_below,
@@ -140,13 +150,15 @@ def advance(
             box,
             label,
             history,
-            _marks_after(model, marks, frame, *origin),
+            _marks_after(marks, frame, *origin),
         ),
         Globals(*table),
         track_id,
         density.detections_seen + len(scan),
         settled,
     )
+    if aside is not None:
+        after = with_more_undetected(after, aside, limits, model.birth)
     counts = replace(
         ReductionStats(*removed),
         undetected_dropped=dropped,
@@ -156,7 +168,6 @@ def advance(
 
 
 def _marks_after(
-    model: PMBMConfig,
     marks: Marks,
     frame: Frame,
     missed: int,
@@ -170,7 +181,7 @@ def _marks_after(
     row (missed + detected,) : of the predicted table.  measurement (detected + new,).
     P_D (missed,) : of those missed.
     """
-    detection, scan = model.sensor.detection, frame.scan
+    detection, scan = frame.detection, frame.scan
     before = marks.take(row[missed:])
     taken, first = measurement[:detected], measurement[detected:]
     told = replace(before, source=scan.source_after(before.source, taken))

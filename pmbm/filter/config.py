@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from types import MappingProxyType
 from typing import Annotated, Any
 
 from pmbm.errors import InputError, nearest_hint
@@ -86,6 +87,7 @@ class PMBMConfig:
     motion : how objects move.  survival : how probably they live on (Pang & Radha 2021, Sec. 2.5).
     birth : where undetected objects appear (Sec. 2.2).
     sensor : how detections come about (Sec. 2.6).
+    sensors : the same of single sensors by name, where a site has several; `sensor` of the others.
     scores : what scores and labels say of their sources (Sec. 2.6).
     reduction : what is kept in mind (Sec. 2.7).  report : which tracks are reported.
     """
@@ -94,6 +96,7 @@ class PMBMConfig:
     survival: Survival = field(default_factory=Survival)
     birth: Annotated[Birth, BIRTHS] = field(default_factory=BroadBirth)
     sensor: Sensor = field(default_factory=Sensor)
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
     scores: Annotated[Scores, SCORES] = field(default_factory=LastingScores)
     reduction: Reduction = field(default_factory=Reduction)
     report: Report = field(default_factory=Report)
@@ -115,6 +118,32 @@ class PMBMConfig:
             check_fields(self, "PMBM configuration")
         except InputError as error:
             raise error.located(hint=renamed(error.field or "") or error.hint) from None
+        object.__setattr__(self, "sensors", MappingProxyType(dict(self.sensors)))
+        for name, sensor in self.sensors.items():
+            if not isinstance(sensor, Sensor):
+                raise InputError(
+                    "PMBM configuration",
+                    field=f"sensors.{name}",
+                    expected="a Sensor",
+                    got=type(sensor).__name__,
+                )
+            classes = 1 if sensor.scores is None else sensor.scores.classes
+            if classes not in (1, self.scores.classes):
+                raise InputError(
+                    "PMBM configuration",
+                    field=f"sensors.{name}.scores",
+                    expected=f"1 class of sources, or the {self.scores.classes} of the model's",
+                    got=classes,
+                )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Mapping proxies do not pickle.
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        return _made_again, ({**values, "sensors": dict(self.sensors)},)
+
+    def sensor_named(self, name: str) -> Sensor:
+        """The model of the sensor of that name."""
+        return self.sensors.get(name, self.sensor)
 
     @classmethod
     def textbook(cls) -> PMBMConfig:
@@ -152,6 +181,10 @@ class PMBMConfig:
         for name, value in values.items():
             config = _with(config, name.split("."), value, name)
         return config
+
+
+def _made_again(values: dict[str, Any]) -> PMBMConfig:
+    return PMBMConfig(**values)
 
 
 RENAMED: Mapping[str, str] = {
@@ -210,7 +243,11 @@ def renamed(name: str) -> str | None:
 
 
 def _with(part: Any, path: list[str], value: Any, whole: str) -> Any:
-    """A dataclass with the field at the end of a path replaced."""
+    """A dataclass, or a table of them, with the field at the end of a path replaced."""
+    if isinstance(part, Mapping):
+        if len(path) > 1:
+            value = _with(part.get(path[0], Sensor()), path[1:], value, whole)
+        return {**part, path[0]: value}
     names = [one.name for one in fields(part)] if is_dataclass(part) else []
     if path[0] not in names:
         raise InputError(

@@ -167,6 +167,7 @@ class Marks:
     confidence (H,) : running mean of the scores of past detections; 0 where P_D does not depend on
         it.
     detectable (H,) : P(the detector can find it at present); 1 where misses are independent.
+    Of S sensors these two are (H,S), see `DetectionBySensor`.
     """
 
     source: FloatArray

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from pmbm.errors import InputError
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Mixture
-from pmbm.filter.models.protocols import SceneDensity
+from pmbm.filter.models.detection_by_sensor import DetectionBySensor
+from pmbm.filter.models.protocols import Detection, SceneDensity
+from pmbm.filter.models.radar import RadarScan, log_clutter_velocity
+from pmbm.filter.models.scores import ScoredDetections
+from pmbm.filter.models.sensor import Sensor
 from pmbm.filter.models.view import View
 from pmbm.filter.prediction import Transition, predict_undetected
 from pmbm.filter.scan import Scan
-from pmbm.types import Detections, Site
+from pmbm.geometry import normal_density
+from pmbm.types import Detections, FloatArray, Site
+
+_IN_VIEW = 0.02
+"""Share of a Gaussian of undetected objects, in view or out of it, below which there is none."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -20,18 +31,32 @@ class Frame:
     """One frame of detections, as the model sees it.
 
     time : s.  dt : s since the frame before; 0 for the first.
-    view : where the sensor looks.  scan : what it measured.
+    sensor : the model of the sensor that it is of; detection : its P_D.
+    view : where that looks.  region : where objects are followed: the same, of a single sensor.
+    scan : what it measured.
     transition : how objects moved and lived on since.
     births : objects that appeared since.  births_memory : of the birth model, after them.
     """
 
     time: float
     dt: float
+    sensor: Sensor
+    detection: Detection
     view: View
+    region: View
     scan: Scan
     transition: Transition
     births: Mixture
     births_memory: Any
+
+    @property
+    def partial(self) -> bool:
+        """Whether the sensor looks at a part alone of where objects are followed."""
+        view, region = self.view, self.region
+        offset = math.hypot(*(view.pose[:2] - region.pose[:2]))
+        return view is not region and (
+            view.half_angle < math.pi or view.max_range + offset < region.max_range - 1e-6
+        )
 
 
 def form_frame(
@@ -48,7 +73,7 @@ def form_frame(
     last : s, time of the frame before; None for the first.
     births_memory, scene : as the frame before left them.
 
-    Raises InputError where time runs backwards.
+    Raises InputError where time runs backwards, or where the site has no such sensor.
     """
     if last is not None and detections.time < last:
         raise InputError(
@@ -58,22 +83,77 @@ def form_frame(
             got=detections.time,
         )
     dt = 0.0 if last is None else detections.time - last
-    view = View.of(site, detections.sensor_pose)
-    scored = model.scores.read(detections, scene)
+    pose, mounted = detections.sensor_pose, site.sensor(detections.sensor)
+    region = View.of(site, pose if mounted is None else mounted.carrier_of(pose))
+    sensor = model.sensor_named(detections.sensor)
+    detection = sensor.detection
+    if mounted is not None and len(site.sensors) > 1:
+        models = tuple(model.sensor_named(one.name).detection for one in site.sensors)
+        detection = DetectionBySensor(models, site.sensors.index(mounted))
+    scored = _read(model, sensor, detections, scene)
     births, memory = model.birth.births(
-        site, view, None if last is None else dt, model.survival, births_memory
+        site, region, None if last is None else dt, model.survival, births_memory
     )
     F, Q = model.motion.transition(dt)
     survival = model.survival.over(dt)
     return Frame(
         time=detections.time,
         dt=dt,
-        view=view,
-        scan=Scan.of(scored, model.sensor.detection.confidence(scored.detections)),
-        transition=Transition(F, Q, survival, dt, model.sensor.detection, model.scores),
+        sensor=sensor,
+        detection=detection,
+        view=region if mounted is None else View.of(mounted, pose),
+        region=region,
+        scan=Scan.of(
+            scored,
+            detection.confidence(scored.detections),
+            RadarScan.of(sensor, scored.detections),
+        ),
+        transition=Transition(F, Q, survival, dt, detection, model.scores),
         births=births,
         births_memory=memory,
     )
+
+
+def _read(
+    model: PMBMConfig, sensor: Sensor, detections: Detections, scene: SceneDensity
+) -> ScoredDetections:
+    """What the scores of a sensor's detections say, and its radial velocities of clutter."""
+    scored = model.scores.read(detections, scene)
+    if sensor.scores is not None:
+        own = sensor.scores.read(scored.detections, scene)
+        if sensor.scores.classes == model.scores.classes:
+            scored = own
+        else:
+            # They tell no classes apart: what they say, they say of every class.
+            evidence = np.repeat(own.evidence, model.scores.classes, axis=1)
+            scored = replace(scored, evidence=evidence, first=own.first)
+    given = scored.detections
+    if sensor.radial_velocity_sd is not None and given.radial_velocity is not None:
+        first = scored.first.copy()
+        first[:, 1] *= np.exp(log_clutter_velocity(sensor, given))
+        scored = replace(scored, first=first)
+    return scored
+
+
+def split_by_view(ppp: Mixture, frame: Frame) -> tuple[Mixture, Mixture, FloatArray]:
+    """The undetected objects that a partial view shows, those that it does not, and how much denser
+    both together are than the first alone where each measurement (M,) is: it is in view.
+
+    A Gaussian over the view's edge is in both, each with its share of the weight.
+    """
+    share = frame.view.share_inside(ppp.mean, ppp.cov)
+    rows, rest = np.flatnonzero(share > _IN_VIEW), np.flatnonzero(share < 1 - _IN_VIEW)
+    seen, aside = ppp.take(rows), ppp.take(rest)
+    seen = replace(seen, log_weight=seen.log_weight + np.log(share[rows]))
+    aside = replace(aside, log_weight=aside.log_weight + np.log1p(-share[rest]))
+    z = frame.scan.position
+
+    def density(part: Mixture) -> FloatArray:
+        return normal_density(z, part.mean[:, :2], part.cov[:, :2, :2]) @ np.exp(part.log_weight)
+
+    in_view = density(seen)
+    denser = np.divide(density(ppp), in_view, out=np.ones(len(z)), where=in_view > 0)
+    return seen, aside, denser
 
 
 def undetected_in(model: PMBMConfig, ppp: Mixture, frame: Frame) -> tuple[Mixture, float]:
@@ -82,7 +162,7 @@ def undetected_in(model: PMBMConfig, ppp: Mixture, frame: Frame) -> tuple[Mixtur
     predicted = predict_undetected(ppp, frame.transition, frame.births, model.birth)
     return model.birth.reduced(
         predicted,
-        frame.view,
+        frame.region,
         model.survival,
         frame.births_memory,
         model.reduction.prune_undetected,

@@ -71,8 +71,36 @@ def reduce(
     if birth is not None:
         prune, merge_below = birth.thresholds(prune)
     ppp = Mixture.joined(density.undetected, returned) if len(returned) else density.undetected
+    undetected, settled, pruned, merged, capped = _fewer_undetected(
+        ppp, density.undetected_settled, limits, prune, merge_below
+    )
+    return replace(density, undetected=undetected, undetected_settled=settled), replace(
+        removed, undetected_pruned=pruned, undetected_merged=merged, undetected_capped=capped
+    )
+
+
+def with_more_undetected(
+    density: Density, more: Mixture, limits: Reduction, birth: Birth
+) -> Density:
+    """The density with further undetected objects, no more components than it may have."""
+    prune, merge_below = birth.thresholds(limits.prune_undetected)
+    undetected, settled, *_ = _fewer_undetected(
+        Mixture.joined(density.undetected, more),
+        density.undetected_settled,
+        limits,
+        prune,
+        merge_below,
+    )
+    return replace(density, undetected=undetected, undetected_settled=settled)
+
+
+def _fewer_undetected(
+    ppp: Mixture, settled: int, limits: Reduction, prune: float, merge_below: float
+) -> tuple[Mixture, int, int, int, int]:
+    """The PPP pruned, merged and capped; of how many components it was when last merged; and how
+    many each of the three removed."""
     kept = ppp.take(np.flatnonzero(ppp.log_weight > log_of(prune)))
-    joined, settled = kept, density.undetected_settled
+    joined = kept
     if len(kept) > 2 * settled + FEW:
         # Merging takes longer than what it saves until the mixture has grown.
         joined = merge_mixture(kept, merge_below)
@@ -81,11 +109,12 @@ def reduce(
     if len(joined) > limits.max_undetected:
         order = np.argsort(-joined.log_weight, kind="stable")[: limits.max_undetected]
         heaviest = joined.take(np.sort(order))
-    return replace(density, undetected=heaviest, undetected_settled=settled), replace(
-        removed,
-        undetected_pruned=len(ppp) - len(kept),
-        undetected_merged=len(kept) - len(joined),
-        undetected_capped=len(joined) - len(heaviest),
+    return (
+        heaviest,
+        settled,
+        len(ppp) - len(kept),
+        len(kept) - len(joined),
+        len(joined) - len(heaviest),
     )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmbm.filter.models.radar import RadarScan
 from pmbm.filter.models.scores import ScoredDetections
 from pmbm.types import FloatArray
 
@@ -23,6 +24,7 @@ class Scan:
     first (M,2) : factors on the density of first detections and on that of clutter, for the rule
         that lets a score speak there alone.
     confidence (M,) : in [0, 1], what a track may remember of its detections.
+    radar : what is particular to a radar's measurements, or None.
     """
 
     position: FloatArray
@@ -32,6 +34,7 @@ class Scan:
     birth: FloatArray
     first: FloatArray
     confidence: FloatArray
+    radar: RadarScan | None = None
 
     def ratio_if_first(self) -> FloatArray:
         """(M,) likelihood ratio, object against clutter, if each is a first detection."""
@@ -57,11 +60,17 @@ class Scan:
         total = joint.sum(axis=1, keepdims=True)
         return np.divide(joint, total, out=before + np.zeros_like(joint), where=total > 0)
 
+    def with_denser_births(self, factor: FloatArray) -> Scan:
+        """With the densities of first detections multiplied by these factors (M,)."""
+        return replace(self, first=self.first * np.stack([factor, np.ones(len(factor))], axis=1))
+
     def __len__(self) -> int:
         return len(self.position)
 
     @staticmethod
-    def of(scored: ScoredDetections, confidence: FloatArray) -> Scan:
+    def of(
+        scored: ScoredDetections, confidence: FloatArray, radar: RadarScan | None = None
+    ) -> Scan:
         """The boxes of a frame, with what their scores say."""
         detections = scored.detections
         box = np.empty((len(detections), 5))
@@ -76,4 +85,5 @@ class Scan:
             scored.birth,
             scored.first,
             confidence,
+            radar,
         )

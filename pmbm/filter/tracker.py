@@ -18,15 +18,14 @@ from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
 from pmbm.filter.estimation import in_view, suppress_overlaps
 from pmbm.filter.explain.inspection import Inspection, inspect
-from pmbm.filter.frame import Frame, form_frame, undetected_in
+from pmbm.filter.frame import Frame, form_frame, split_by_view, undetected_in
 from pmbm.filter.identity.inheritance import IdInheritance
 from pmbm.filter.models.birth_map import BirthMap
 from pmbm.filter.models.occlusion import Shadows
 from pmbm.filter.models.protocols import SceneDensity
 from pmbm.filter.models.sensor import ObservationModel
-from pmbm.filter.models.view import View
 from pmbm.filter.prediction import predict
-from pmbm.filter.reduction import ReductionStats, reduce
+from pmbm.filter.reduction import ReductionStats, reduce, with_more_undetected
 from pmbm.filter.update import update
 from pmbm.types import Detections, Site, Tracks, unchecked
 
@@ -40,6 +39,8 @@ class State:
     births : memory of the birth model (`Birth.births`).
     scene : how many objects the scene has held.
     ids : which tracks may take over whose id.
+    before : the scene before `time`, and the s since the time before it: a further delivery of the
+        same time counts in place of those before it, not on top of them.
     """
 
     time: float
@@ -47,6 +48,7 @@ class State:
     births: Any
     scene: SceneDensity
     ids: IdInheritance
+    before: tuple[SceneDensity, float] = (SceneDensity(), 0.0)
 
     def __repr__(self) -> str:
         return f"State({self.time:g} s: {self.density})"
@@ -96,9 +98,9 @@ def step(
         detections,
         last=state.time if state.started else None,
         births_memory=state.births,
-        scene=state.scene,
+        scene=state.before[0] if detections.time == state.time else state.scene,
     )
-    if kernels.native is None:
+    if kernels.native is None or not compiled.has(frame):
         density, removed, seconds = advance(model, site, state.density, frame)
     else:
         density, removed, seconds = compiled.advance(
@@ -115,13 +117,21 @@ def advance(
     long each box took, s."""
     clock = _Clock()
     predicted, dropped = predicted_in(model, density, frame)
+    scan, limits, aside = frame.scan, model.reduction, None
+    if frame.partial and not model.birth.place_by_place:
+        seen, aside, denser = split_by_view(predicted.undetected, frame)
+        predicted, scan = predicted.with_undetected(seen), scan.with_denser_births(denser)
     clock.read("predict")
-    sensor = observe(model, site, frame.view, predicted)
-    association = associate(predicted, frame.scan, sensor, model.reduction)
+    sensor = observe(model, site, frame, predicted)
+    if frame.sensor.gate is not None:
+        limits = replace(limits, gate=frame.sensor.gate)
+    association = associate(predicted, scan, sensor, limits)
     clock.read("associate")
-    updated = update(predicted, frame.scan, association, sensor)
+    updated = update(predicted, scan, association, sensor)
     clock.read("update")
-    reduced, removed = reduce(updated, model.reduction, model.birth)
+    reduced, removed = reduce(updated, limits, model.birth)
+    if aside is not None:
+        reduced = with_more_undetected(reduced, aside, limits, model.birth)
     clock.read("reduce")
     removed = replace(
         removed,
@@ -140,21 +150,22 @@ def predicted_in(model: PMBMConfig, density: Density, frame: Frame) -> tuple[Den
     return predicted.with_undetected(undetected), dropped
 
 
-def observe(model: PMBMConfig, site: Site, view: View, predicted: Density) -> ObservationModel:
+def observe(model: PMBMConfig, site: Site, frame: Frame, predicted: Density) -> ObservationModel:
     """The sensor that looks at the predicted objects, some of which hide others."""
     place_by_place = model.birth.place_by_place
-    sensor = model.sensor.over(view, place_by_place=place_by_place)
-    if not model.sensor.occlusion or not (place_by_place or len(predicted.local)):
+    sensor = frame.sensor.over(frame.view, place_by_place=place_by_place, detection=frame.detection)
+    if not frame.sensor.occlusion or not (place_by_place or len(predicted.local)):
         return sensor
-    return replace(sensor, shadows=Shadows.of(predicted, view.pose, site.occluders))
+    return replace(sensor, shadows=Shadows.of(predicted, frame.view.pose, site.occluders))
 
 
 def report(model: PMBMConfig, state: State, frame: Frame, density: Density) -> tuple[State, Tracks]:
     """The state after the frame, and the tracks that probably exist and are probably in view.  One
     that has left the view is kept in mind, and reported again where it comes back."""
-    marginal, inside = in_view(density, frame.view)
+    marginal, inside = in_view(density, frame.region)
     local = density.local
-    scene = model.scores.observed(state.scene, marginal, inside, frame.dt)
+    before = state.before if frame.time == state.time else (state.scene, frame.dt)
+    scene = model.scores.observed(before[0], marginal, inside, before[1])
     exists = marginal.objects(model.scores.object_share(scene))
     reported = np.flatnonzero((exists > model.report.above) & (inside > 0.5))
     local = local.take(marginal.best[reported])
@@ -180,7 +191,7 @@ def report(model: PMBMConfig, state: State, frame: Frame, density: Density) -> t
         covariance=local.cov,
         undetected=density.undetected.public(),
     )
-    return State(frame.time, density, frame.births_memory, scene, ids), tracks
+    return State(frame.time, density, frame.births_memory, scene, ids, before), tracks
 
 
 class PMBMTracker:
@@ -199,6 +210,8 @@ class PMBMTracker:
     def __init__(self, config: PMBMConfig | None = None, site: Site | None = None) -> None:
         self.config = config if config is not None else PMBMConfig()
         self.site = site if site is not None else Site()
+        for name in self.config.sensors if self.site.sensors else ():
+            self.site.sensor(name)
         self.state = State.initial(self.config)
         self.trace: Trace | None = None
 
@@ -253,7 +266,7 @@ class PMBMTracker:
         return inspect(
             state.density,
             predicted,
-            observe(config, self.site, trace.frame.view, predicted),
+            observe(config, self.site, trace.frame, predicted),
             self.site.occluders,
             time=state.time,
             report_above=config.report.above,

@@ -33,6 +33,7 @@ from pmbm.filter.hypotheses.gaussian import (
     gain,
     moments,
 )
+from pmbm.filter.hypotheses.radar_pairs import UpdatedPairs
 from pmbm.filter.hypotheses.weights import normalised
 from pmbm.filter.identity.recycling import ids_of_new
 from pmbm.filter.models.sensor import ObservationModel
@@ -109,7 +110,12 @@ def _detected(
 ) -> Locals:
     known = association.known
     row, measurement = known.row[pairs], known.measurement[pairs]
-    mean, cov = corrected(local.mean, local.cov, known.innovation, row, known.y[pairs], sensor.R)
+    if isinstance(known, UpdatedPairs):
+        mean, cov = known.mean[pairs], known.cov[pairs]
+    else:
+        mean, cov = corrected(
+            local.mean, local.cov, known.innovation, row, known.y[pairs], sensor.R
+        )
     before = local.marks.take(row)
     told = replace(before, source=scan.source_after(before.source, measurement))
     return Locals(
@@ -118,7 +124,7 @@ def _detected(
         mean,
         cov,
         sensor.boxed(local.box[row], scan.box[measurement]),
-        scan.label[measurement],
+        scan.label[measurement] if sensor.describes else local.label[row],
         _remember(local.history[row], measurement),
         sensor.detection.if_detected(told, scan.confidence[measurement]),
     )
@@ -160,6 +166,8 @@ def _fused(
     """Means (n,4) and covariances (n,4,4) of the objects that these measurements (n,) may be the
     first detections of."""
     density = association.undetected
+    if isinstance(density, UpdatedPairs):
+        return _fused_pairs(density, scan, measurements)
     z = np.ascontiguousarray(scan.position[measurements])
     return _fuse(
         *density.innovation.columns(),
@@ -209,6 +217,24 @@ def _fuse(
             first,
         )
     return mean, cov
+
+
+def _fused_pairs(
+    pairs: UpdatedPairs, scan: Scan, measurements: Index
+) -> tuple[FloatArray, FloatArray]:
+    """`_fused` by a radar's measurements: moments of the components' updates."""
+    assert scan.radar is not None
+    mean = np.zeros((len(scan), STATE))
+    mean[:, :2] = scan.position
+    cov = np.zeros((len(scan), STATE, STATE))
+    cov[:, :2, :2] = cov[:, 2:4, 2:4] = scan.radar.R
+    if len(pairs.row):
+        ordered = pairs.take(np.argsort(pairs.measurement, kind="stable"))
+        first = np.flatnonzero(np.diff(ordered.measurement, prepend=-1))
+        found = ordered.measurement[first]
+        weight = np.exp(normalised(ordered.log_weight, ordered.measurement))
+        mean[found], cov[found] = moments(weight, ordered.mean, ordered.cov, first)
+    return mean[measurements], cov[measurements]
 
 
 def _remember(history: np.ndarray, measurement: Index | int) -> np.ndarray:

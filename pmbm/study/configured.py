@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections.abc
 import dataclasses
 import functools
 import inspect
@@ -154,6 +155,14 @@ def _member(config: Any, name: str, hint: Any, value: Mapping[str, Any], path: s
     members = next(
         (one for one in getattr(hint, "__metadata__", ()) if hasattr(one, "of_kind")), None
     )
+    if typing.get_origin(hint) is collections.abc.Mapping:
+        kind = typing.get_args(hint)[1]
+        if not dataclasses.is_dataclass(kind):
+            return value
+        return {
+            key: from_table(kind, one, f"{path}{key}.") if isinstance(one, Mapping) else one
+            for key, one in values.items()
+        }
     if members is None:
         inner = _dataclass_in(hint)
         return value if inner is None else from_table(inner, values, path)
@@ -163,6 +172,8 @@ def _member(config: Any, name: str, hint: Any, value: Mapping[str, Any], path: s
         except InputError as error:
             raise (error if error.field != "kind" else error.located(field=f"{path}kind")) from None
     (default,) = (one for one in dataclasses.fields(config) if one.name == name)
+    if default.default_factory is dataclasses.MISSING:
+        raise InputError("missing parameter", field=f"{path}kind")
     return from_table(default.default_factory, values, path)
 
 

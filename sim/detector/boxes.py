@@ -45,6 +45,7 @@ class Boxes(_Table):
 
     frame (R,), origin (R,) : the truth frame, and the truth row in it or CLUTTER.
     position (R,3), size (R,3), yaw (R,), score (R,), label (R,) : as in `Detections`.
+    ground_speed (R,) : of false boxes, m/s along the line of sight over the ground.
     """
 
     frame: IntArray
@@ -54,12 +55,13 @@ class Boxes(_Table):
     yaw: FloatArray
     score: FloatArray
     label: IntArray
+    ground_speed: FloatArray
 
     @classmethod
     def none(cls) -> Boxes:
         """No boxes."""
         whole, real = np.zeros(0, np.int64), np.zeros(0)
-        return cls(whole, whole, np.zeros((0, 3)), np.zeros((0, 3)), real, real, whole)
+        return cls(whole, whole, np.zeros((0, 3)), np.zeros((0, 3)), real, real, whole, real)
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,6 +118,8 @@ class ClutterModel(FalseBoxes):
     persistent_detection : probability that a place in view gives a box in a frame.
     persistent_noise : standard deviation of such a box about its place, x and y, m.
     persistent_yaw_noise : the same of its heading about the place's, rad.
+    speed_spread : standard deviation of how fast a false box seems to move over the ground along
+        the line of sight, m/s, where radial velocities are measured; those of a fixed place stand.
     labels : relative frequency of each label.
     label : what false boxes of single labels are like; the others are as this table says.
     """
@@ -127,6 +129,7 @@ class ClutterModel(FalseBoxes):
     persistent_detection: Annotated[float, Bounds(most=1.0, above=0.0)] = 0.8
     persistent_noise: Annotated[float, NOT_NEGATIVE] = 0.3
     persistent_yaw_noise: Annotated[float, NOT_NEGATIVE] = 0.1
+    speed_spread: Annotated[float, NOT_NEGATIVE] = 0.0
     labels: Annotated[Mapping[NamedLabel, float], NOT_NEGATIVE] = field(default_factory=_cars)
     label: Mapping[NamedLabel, FalseBoxes] = field(default_factory=dict)
 
@@ -178,6 +181,7 @@ def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
     frames, marks = [np.zeros(0, np.int64)], [np.zeros((0, 11))]
     block = 0
     company = [np.zeros((0, _COMPANY))]
+    speeds = [np.zeros(0)]
     while len(scene) and reached.min() < rate:
         draws = streams.uniforms(Purpose.CLUTTER, len(scene), 11 * _BLOCK, block)
         draws = draws.reshape(len(scene), _BLOCK, 11)
@@ -188,6 +192,9 @@ def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
         if model.has_company:
             of_block = streams.uniforms(Purpose.COMPANION, len(scene), _COMPANY * _BLOCK, block)
             company.append(of_block.reshape(len(scene), _BLOCK, _COMPANY)[frame, mark])
+        if model.speed_spread > 0:
+            of_block = streams.uniforms(Purpose.CLUTTER_SPEED, len(scene), _BLOCK, block)
+            speeds.append(model.speed_spread * normal(of_block[frame, mark]))
         reached = level[:, -1]
         block += 1
     frame = np.concatenate(frames)
@@ -202,6 +209,8 @@ def _fleeting(model: ClutterModel, scene: Scene, streams: Streams) -> Boxes:
     centre = pose[:, :2] + distance[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     marks_of_look = np.stack(look, axis=1)
     boxes = _false_boxes(model, frame, centre, distance, pose[:, 2], label, marks_of_look, score)
+    if model.speed_spread > 0:
+        boxes = replace(boxes, ground_speed=np.concatenate(speeds))
     return _with_company(model, boxes, distance, pose[:, 2], np.concatenate(company))
 
 
@@ -398,4 +407,5 @@ def _false_boxes(
         yaw=wrap_angle(yaw),
         score=score,
         label=label,
+        ground_speed=np.zeros(len(frame)),
     )

@@ -18,7 +18,7 @@ from scipy import special
 
 from pmbm.errors import InputError, nearest_hint
 from pmbm.labels import Label
-from pmbm.sim.detector.boxes import Boxes, Targets, concatenate, targets
+from pmbm.sim.detector.boxes import Boxes, Targets, concatenate, polar, targets
 from pmbm.sim.detector.calibration import reliability_of
 from pmbm.sim.detector.clutter import ClutterModel, FalseBoxes, clutter
 from pmbm.sim.detector.knobs import (
@@ -29,10 +29,18 @@ from pmbm.sim.detector.knobs import (
 )
 from pmbm.sim.detector.objects import ObjectModel, sense
 from pmbm.sim.detector.sensor import SensorModel, arrivals, blind, clock_error, moved, reported_pose
-from pmbm.sim.streams import Streams
+from pmbm.sim.streams import Purpose, Streams
 from pmbm.sim.toml_tables import read_toml, table_of, validated
 from pmbm.sim.world.scene import Scene
-from pmbm.types import Detections, FloatArray, IntArray, Recording, checked_rows, frames_of
+from pmbm.types import (
+    CLUTTER,
+    Detections,
+    FloatArray,
+    IntArray,
+    Recording,
+    checked_rows,
+    frames_of,
+)
 from pmbm.validation import POSITIVE, Bounds, check_fields
 
 
@@ -49,6 +57,7 @@ class DetectorModel:
         divided by the temperature (above 1 is too timid, below 1 too bold), then the offset is
         added.
     score_floor : no box is reported with less; scores are squeezed into what is above it.
+    radial_velocity : whether it measures radial velocities, as a radar does.
     provenance : where the numbers come from.
     """
 
@@ -60,6 +69,7 @@ class DetectorModel:
     score_temperature: Annotated[float, POSITIVE] = 1.0
     score_offset: Annotated[float, Bounds()] = 0.0
     score_floor: Annotated[float, Bounds(0.0, 0.99)] = 0.0
+    radial_velocity: bool = False
     provenance: str = ""
 
     def __post_init__(self) -> None:
@@ -77,15 +87,29 @@ class DetectorModel:
         """How objects of that label are detected."""
         return self.label.get(label, self.objects)
 
-    def detect(self, scene: Scene, seed: int, trial: int = 0) -> Recording:
+    def detect(
+        self,
+        scene: Scene,
+        seed: int,
+        trial: int = 0,
+        *,
+        sensor: str = "",
+        sensor_velocity: FloatArray | None = None,
+    ) -> Recording:
         """The recording that this detector makes of a scene.
+
+        sensor : name of the sensor, where there are several: then it draws on streams of its own.
+        sensor_velocity (F,2) : of the sensor in the world, m/s; by default that of the scene's
+            poses, which leaves a sensor on a turning vehicle what the turn adds.
 
         Every random draw has a stream and a row of its own (see `pmbm.sim.streams`), so the same
         scene, seed and trial give the same bits, and changing a knob changes only what it is about.
         Boxes of a frame are listed by falling score; an origin stands twice where an object was
         reported twice.  The expected calibration error of the scores is in the provenance.
         """
-        streams = Streams(seed, trial)
+        streams = Streams(seed, trial, sensor)
+        if sensor_velocity is None and self.radial_velocity:
+            sensor_velocity = velocity_of(scene.sensor_pose, scene.rate)
         seen = self._as_measured(scene, streams)
         boxes = concatenate(
             [
@@ -101,12 +125,16 @@ class DetectorModel:
         if self.sensor.outage_duration > 0:
             boxes = boxes.take(~blind(self.sensor, scene, boxes))
         boxes = replace(boxes, score=self._as_reported(boxes.score))
+        radial = None
+        if self.radial_velocity:
+            assert sensor_velocity is not None
+            radial = self._radial_velocity(scene, boxes, seen, sensor_velocity, streams)
         pose = scene.sensor_pose
         if self.sensor.ego_position_noise > 0 or self.sensor.ego_yaw_noise > 0:
             pose = reported_pose(self.sensor, scene, streams)
             boxes = moved(boxes, scene.sensor_pose, pose)
         delivered = arrivals(self.sensor, len(scene), streams)
-        frames = _by_frame(boxes, scene, pose)
+        frames = _by_frame(boxes, scene, pose, sensor, radial, sensor_velocity)
         deliveries = [frames[frame] for frame in delivered]
         made = {
             "seed": seed,
@@ -136,6 +164,32 @@ class DetectorModel:
         position[:, :2] += late[:, None] * seen.velocity
         return replace(seen, position=position)
 
+    def _radial_velocity(
+        self,
+        scene: Scene,
+        boxes: Boxes,
+        seen: Targets,
+        sensor_velocity: FloatArray,
+        streams: Streams,
+    ) -> FloatArray:
+        """(R,) m/s: how fast the distance from the sensor to what caused each box changes."""
+        pose, own = scene.sensor_pose[boxes.frame], sensor_velocity[boxes.frame]
+        _, bearing = polar(boxes.position, pose)
+        sight = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        radial = boxes.ground_speed - (sight * own).sum(axis=1)
+        # Row of the targets, of every frame and truth row.
+        stride = 1 + max((len(frame) for frame in scene.truth), default=0)
+        key = seen.frame * stride + seen.row
+        real = np.flatnonzero(boxes.origin != CLUTTER)
+        at = np.searchsorted(key, boxes.frame[real] * stride + boxes.origin[real])
+        sight = np.stack([np.cos(seen.bearing), np.sin(seen.bearing)], axis=1)
+        closing = (sight * (seen.velocity - sensor_velocity[seen.frame])).sum(axis=1)
+        error = seen.members.normals(streams, Purpose.RADIAL, 1)[:, 0]
+        for label in np.unique(seen.label).tolist():
+            error[seen.label == label] *= self.of(Label(label)).radial_velocity_noise
+        radial[real] = (closing + error)[at]
+        return radial
+
     def _as_reported(self, score: FloatArray) -> FloatArray:
         if self.score_temperature != 1.0 or self.score_offset != 0.0:
             inner = np.clip(score, 1e-12, 1 - 1e-12)
@@ -150,6 +204,7 @@ class DetectorModel:
             "score_temperature": self.score_temperature,
             "score_offset": self.score_offset,
             "score_floor": self.score_floor,
+            **({"radial_velocity": True} if self.radial_velocity else {}),
             "objects": _plain(self.objects),
             "label": _plain_by_label(self.label, self.objects),
             "clutter": _plain(self.clutter),
@@ -292,12 +347,34 @@ def _plain_by_label(models: Mapping[Label, Any], shared: Any) -> dict[str, Any]:
     }
 
 
-def _by_frame(boxes: Boxes, scene: Scene, pose: FloatArray) -> list[tuple[Detections, IntArray]]:
+def velocity_of(pose: FloatArray, rate: float) -> FloatArray:
+    """Velocities (F,2) m/s of poses (F,3), `rate` of them a second, by finite differences."""
+    if len(pose) < 3:
+        return np.zeros((len(pose), 2)) + (pose[-1, :2] - pose[0, :2]) * rate
+    return np.asarray(np.gradient(pose[:, :2], 1.0 / rate, axis=0, edge_order=2))
+
+
+def _by_frame(
+    boxes: Boxes,
+    scene: Scene,
+    pose: FloatArray,
+    sensor: str,
+    radial: FloatArray | None,
+    sensor_velocity: FloatArray | None,
+) -> list[tuple[Detections, IntArray]]:
     """Detections and origins of every frame, the surest first."""
-    boxes = boxes.take(np.lexsort((-boxes.score, boxes.frame)))
+    order = np.lexsort((-boxes.score, boxes.frame))
+    boxes = boxes.take(order)
     count = np.bincount(boxes.frame, minlength=len(scene))
     time = [truth.time for truth in scene.truth]
     columns = {name: getattr(boxes, name) for name in ("position", "size", "yaw", "score", "label")}
     table = checked_rows(Detections, time, count, columns, pose)
-    origins = np.split(boxes.origin, np.cumsum(count)[:-1])
-    return list(zip(frames_of(Detections, time, count, table, pose), origins, strict=True))
+    frames = frames_of(Detections, time, count, table, pose, sensor=sensor)
+    cuts = np.cumsum(count)[:-1]
+    if radial is not None and sensor_velocity is not None:
+        measured = np.split(radial[order], cuts)
+        frames = tuple(
+            replace(frame, radial_velocity=values, sensor_velocity=own)
+            for frame, values, own in zip(frames, measured, sensor_velocity, strict=True)
+        )
+    return list(zip(frames, np.split(boxes.origin, cuts), strict=True))

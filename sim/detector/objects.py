@@ -51,6 +51,9 @@ class ObjectModel:
     radial_noise, lateral_noise, vertical_noise : standard deviation of the centre along the line
         of sight, across it, and upward, m.
     position_noise_scale : multiplies the three.
+    azimuth_noise : standard deviation of the bearing at which the centre is reported, rad, as of a
+        radar: it keeps the distance and adds to `lateral_noise`.
+    radial_velocity_noise : standard deviation of a reported radial velocity, m/s.
     hidden_noise : how much more the centre errs when hidden: the three are multiplied by
         1 + hidden_noise * (1 - visible share).
     size_pull : how far sizes are pulled from the object's toward the typical: 0 not, 1 all the way.
@@ -97,6 +100,8 @@ class ObjectModel:
     lateral_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     vertical_noise: Annotated[NumberOrCurve, NOT_NEGATIVE] = _ZERO
     position_noise_scale: Annotated[float, NOT_NEGATIVE] = 1.0
+    azimuth_noise: Annotated[float, Bounds(0.0, 0.5)] = 0.0
+    radial_velocity_noise: Annotated[float, NOT_NEGATIVE] = 0.1
     hidden_noise: Annotated[float, NOT_NEGATIVE] = 0.0
     size_pull: Annotated[NumberOrCurve, SHARE] = _ZERO
     typical_size: Size | None = None
@@ -198,6 +203,7 @@ def sense(model: ObjectModel, seen: Targets, streams: Streams, false_boxes: Clut
         yaw=_yaw(model, seen, errors[:, 6], streams),
         score=_score(model, seen, quality),
         label=_label(model, seen, streams),
+        ground_speed=np.zeros(len(seen)),
     )
     found = _doubled(model, boxes, seen, streams)
     return (
@@ -231,6 +237,11 @@ def _position_error(model: ObjectModel, seen: Targets, errors: FloatArray) -> Fl
     """Errors of the centre (R,3) in the world, from those along and across the line of sight."""
     along, across, up = (errors * model.position_noise(seen.distance, seen.visibility)).T
     cos, sin = np.cos(seen.bearing), np.sin(seen.bearing)
+    if model.azimuth_noise > 0:
+        # Turned about the sensor: the distance is that with its own error, however far the turn.
+        turn, reach = model.azimuth_noise * errors[:, 1], seen.distance + along
+        along = reach * np.cos(turn) - seen.distance
+        across = across + reach * np.sin(turn)
     return np.stack([along * cos - across * sin, along * sin + across * cos, up], axis=1)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -89,12 +89,8 @@ def moved(boxes: Boxes, true_pose: FloatArray, pose: FloatArray) -> Boxes:
     cos, sin = np.cos(turn), np.sin(turn)
     x = said[:, 0] + offset[:, 0] * cos - offset[:, 1] * sin
     y = said[:, 1] + offset[:, 0] * sin + offset[:, 1] * cos
-    return Boxes(
-        frame=boxes.frame,
-        origin=boxes.origin,
+    return replace(
+        boxes,
         position=np.stack([x, y, boxes.position[:, 2]], axis=1),
-        size=boxes.size,
         yaw=wrap_angle(boxes.yaw + turn),
-        score=boxes.score,
-        label=boxes.label,
     )

@@ -38,6 +38,8 @@ def check_clock(form: schema.ScenarioForm, file: str | None) -> None:
         )
     if isinstance(scene, schema.RoadScene):
         _check_roads(scene, file)
+    for name, sensor in form.sensors.items():
+        _check_sensor(form, name, sensor, file)
     for name, occluder in scene.occluders.items():
         if (occluder.box is None) == (occluder.polygon is None):
             raise InputError(
@@ -118,6 +120,43 @@ def check_in_range(scene: Scene, form: schema.ScenarioForm, file: str | None) ->
         InputWarning,
         stacklevel=3,
     )
+
+
+def _check_sensor(
+    form: schema.ScenarioForm, name: str, sensor: schema.MountedSensorForm, file: str | None
+) -> None:
+    """Refuse one of several sensors that the scenario's clock or scene cannot have (InputError)."""
+
+    def bad(problem: str, key: str, **details: Any) -> InputError:
+        return InputError(problem, file=file, field=f"sensors.{name}.{key}", **details)
+
+    rate = sensor.rate or form.rate
+    if form.rate % rate:
+        divisors = [d for d in range(1, form.rate + 1) if form.rate % d == 0]
+        raise bad(
+            "a sensor's rate must divide the scenario's",
+            "rate",
+            expected=f"one of {', '.join(map(str, divisors))}",
+            got=rate,
+            hint="raise the scenario's rate: that of its truth",
+        )
+    frames = sensor.phase * form.rate
+    if abs(frames - round(frames)) > 1e-6 or round(frames) >= form.rate // rate:
+        raise bad(
+            "no phase of this sensor",
+            "phase",
+            expected=f"a multiple of 1/{form.rate} s below 1/{rate} s",
+            got=sensor.phase,
+        )
+    reach, offset = form.scene.sensor.max_range, math.hypot(*sensor.mount[:2])
+    if offset >= reach or (sensor.max_range or 0.0) + offset > reach:
+        raise bad(
+            "the sensor sees farther than the scene goes",
+            "mount" if sensor.max_range is None else "max_range",
+            expected=f"with its offset at most scene.sensor.max_range = {reach:g} m",
+            got=offset + (sensor.max_range or 0.0),
+            hint="raise scene.sensor.max_range",
+        )
 
 
 def check_sweep(form: schema.ScenarioForm, document: Mapping[str, Any], file: str | None) -> None:

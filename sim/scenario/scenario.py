@@ -29,10 +29,11 @@ from pmbm.sim.world import scripted
 from pmbm.sim.world.apart import followed, marked_crashed
 from pmbm.sim.world.scene import Scene
 from pmbm.sim.world.trajectory import GROUP, Trajectory, to_scene
-from pmbm.types import FloatArray, Recording, Site
+from pmbm.types import FloatArray, MountedSensor, Recording, Site
 
 if TYPE_CHECKING:
     from pmbm.sim.detector.model import DetectorModel
+    from pmbm.sim.detector.mounted import SimulatedSensor
 
 _SCENE_KEYS = ("duration", "rate", "simulation_rate", "warmup", "scene")
 """The keys of a scenario's document that its truth depends on; the rest concerns the detector."""
@@ -64,9 +65,11 @@ class Scenario:
         self._level(self.level)
         checked = []
         for level in self.levels or (None,):
-            table = self._document_at(level).get("detector")
+            document = self._document_at(level)
+            table = [document.get("detector"), document.get("sensors")]
             if table not in checked:
                 self.detector(level)
+                self.sensors(level)
                 checked.append(table)
 
     def __repr__(self) -> str:
@@ -110,7 +113,12 @@ class Scenario:
         level : one of `levels`; None is `default_level`.
         Raises InputError for an unknown level or a seed that is not a whole number >= 0.
         """
-        return self.detector(level).detect(self.scene(seed, trial, level), seed, trial)
+        scene, sensors = self.scene(seed, trial, level), self.sensors(level)
+        if sensors:
+            from pmbm.sim.detector.mounted import detect_by_all
+
+            return detect_by_all(scene, sensors, seed, trial)
+        return self.detector(level).detect(scene, seed, trial)
 
     def scene(self, seed: int, trial: int = 0, level: Any = None) -> Scene:
         """The truth alone."""
@@ -126,19 +134,46 @@ class Scenario:
         return scene
 
     def detector(self, level: Any = None) -> DetectorModel:
-        """The detector model at a level."""
+        """The detector model at a level: of the one sensor, and of those among several that have
+        none of their own."""
+        table = self._document_at(self._level(level)).get("detector", {})
+        return self._profile(table, "detector")
+
+    def sensors(self, level: Any = None) -> tuple[SimulatedSensor, ...]:
+        """The sensors at a level, where the scenario has several; empty where it has one."""
+        document = self._document_at(self._level(level))
+        if not document.get("sensors"):
+            return ()
+        from pmbm.sim.detector.mounted import SimulatedSensor
+
+        form = schema.parse(document, self.file)
+        shared = self.detector(level)
+        return tuple(
+            SimulatedSensor(
+                mounted=_mounted(name, sensor, form.scene.sensor.max_range),
+                detector=shared
+                if sensor.detector is None
+                else self._profile(sensor.detector, f"sensors.{name}.detector"),
+                every=form.rate // (sensor.rate or form.rate),
+                first=round(sensor.phase * form.rate),
+            )
+            for name, sensor in form.sensors.items()
+        )
+
+    def _profile(self, table: Mapping[str, Any], key: str) -> DetectorModel:
+        """The detector model that a table of this file describes."""
         from pmbm.sim.detector.model import load_profile
 
-        table = dict(self._document_at(self._level(level)).get("detector", {}))
-        profile = table.pop("profile", "nominal")
+        overrides = dict(table)
+        profile = overrides.pop("profile", "nominal")
         try:
-            return load_profile(profile, table)
+            return load_profile(profile, overrides)
         except InputError as error:
             if error.file:
                 raise
             # It is this file's own table that is wrong, not that of the profile's file.
-            key = f"detector.{error.field or 'profile'}"
-            raise error.located(file=self.file, field=key) from None
+            field = f"{key}.{error.field or 'profile'}"
+            raise error.located(file=self.file, field=field) from None
 
     def base(self) -> Scenario:
         """The same file without its sweep: the factor is off, as written."""
@@ -174,6 +209,19 @@ class Scenario:
                 table = table.setdefault(part, {})
             table[last] = values[index]
         return document
+
+
+def _mounted(name: str, sensor: schema.MountedSensorForm, reach: float) -> MountedSensor:
+    """The sensor as trackers are told of it, in a scene that goes as far as `reach`, m."""
+    x, y, yaw_deg = sensor.mount
+    return MountedSensor(
+        name=name,
+        mount=np.array([x, y, np.deg2rad(yaw_deg)]),
+        fov_centre=float(np.deg2rad(sensor.fov_centre_deg)),
+        fov_half_angle=min(float(np.deg2rad(sensor.fov_deg / 2)), float(np.pi)),
+        max_range=sensor.max_range or reach - float(np.hypot(x, y)),
+        latency=sensor.latency,
+    )
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
@@ -227,6 +275,13 @@ def _extended(document: dict[str, Any], file: str) -> dict[str, Any]:
 
 def _with_own_profile(document: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The document with a detector profile's file, if it names one, found from its own folder."""
+    sensors = document.get("sensors")
+    if isinstance(sensors, dict):
+        own = {
+            name: _with_own_profile(sensor, folder) if isinstance(sensor, dict) else sensor
+            for name, sensor in sensors.items()
+        }
+        document = {**document, "sensors": own}
     detector = document.get("detector")
     if not isinstance(detector, dict):
         return document

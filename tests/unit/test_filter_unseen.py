@@ -249,7 +249,7 @@ def test_without_the_option_nothing_is_touched():
     )
     assert reduced is density.undetected
     assert dropped == 0
-    sensor = observe(config, tracker.site, at(), density)
+    sensor = observe(config, tracker.site, tracker.trace.frame, density)
     mean, cov = density.undetected.mean, density.undetected.cov
     if_missed, if_seen, shape = sensor.of_undetected(mean, cov)
     assert if_seen is if_missed

@@ -12,6 +12,7 @@ from pmbm.filter.density import Globals, Index, ragged, starts, summed
 from pmbm.filter.hypotheses import clusters
 from pmbm.filter.hypotheses.clusters import joined, row_limit
 from pmbm.filter.hypotheses.gating import GatedPairs
+from pmbm.filter.hypotheses.radar_pairs import UpdatedPairs
 from pmbm.filter.hypotheses.weights import likely, log_of, normalised
 from pmbm.kernels import twin
 from pmbm.types import FloatArray
@@ -54,7 +55,7 @@ class Children:
 
 def branch(
     table: Globals,
-    known: GatedPairs,
+    known: GatedPairs | UpdatedPairs,
     log_missed: FloatArray,
     log_new: FloatArray,
     *,

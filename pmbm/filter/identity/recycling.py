@@ -14,6 +14,7 @@ from pmbm.filter.association import Association
 from pmbm.filter.density import Density, Index, RecycledFrom
 from pmbm.filter.hypotheses.gating import FirstDetectionDensity
 from pmbm.filter.hypotheses.gaussian import Innovation
+from pmbm.filter.hypotheses.radar_pairs import UpdatedPairs
 from pmbm.filter.scan import Scan
 from pmbm.kernels import twin
 from pmbm.types import ABSENT, FloatArray
@@ -45,6 +46,8 @@ def _resumed(
 ) -> NDArray[np.int64]:
     """Of each of the measurements `new` (n,), the id that it resumes, or ABSENT."""
     first = association.undetected
+    if isinstance(first, UpdatedPairs):
+        return _resumed_by_radar(density, association, first, recycled, new)
     r = np.exp(association.log_birth_evidence - association.log_new)[new]
     return _resume(
         *first.innovation.columns(),
@@ -58,6 +61,30 @@ def _resumed(
         r,
         density.track_id,
     )
+
+
+def _resumed_by_radar(
+    density: Density,
+    association: Association,
+    first: UpdatedPairs,
+    recycled: RecycledFrom,
+    new: Index,
+) -> NDArray[np.int64]:
+    """`_resumed` where the pairs of undetected objects and measurements are worked out already."""
+    place = np.full(len(association.log_e), -1, np.intp)
+    place[new] = np.arange(len(new))
+    pairs = first.take(
+        np.flatnonzero((place[first.measurement] >= 0) & (recycled.track[first.row] != ABSENT))
+    )
+    track, share = _explained(
+        recycled.track[pairs.row],
+        place[pairs.measurement],
+        pairs.log_weight - association.log_e[pairs.measurement],
+        recycled.share[pairs.row],
+        len(new),
+    )
+    r = np.exp(association.log_birth_evidence - association.log_new)[new]
+    return _claimed(track, share, r, density.track_id, MOST_OF_ONE)
 
 
 @twin("resumed")
@@ -79,40 +106,58 @@ def _resume(
     """Of first detections z (n,2) with existence r (n,), the ids that they resume, or ABSENT; those
     in `known` (T,) are not resumed."""
     density = FirstDetectionDensity(Innovation(expected, l11, l21, l22), log_height, threshold)
-    track, share = _explained(recycled_track, recycled_share, density, z, log_e)
+    rows = np.flatnonzero(recycled_track != ABSENT)
+    left_behind = FirstDetectionDensity(
+        density.innovation.take(rows), density.log_height[rows], density.gate
+    )
+    pairs = left_behind.pairs(z)
+    track, share = _explained(
+        recycled_track[rows[pairs.row]],
+        pairs.measurement,
+        pairs.log_weight - log_e[pairs.measurement],
+        recycled_share[rows[pairs.row]],
+        len(z),
+    )
+    return _claimed(track, share, r, known, most)
+
+
+def _claimed(
+    track: NDArray[np.int64],
+    share: FloatArray,
+    r: FloatArray,
+    known: NDArray[np.int64],
+    most: float,
+) -> NDArray[np.int64]:
+    """The ids (n,) that first detections resume, or ABSENT, of the recycled tracks that explain
+    most of each and their shares in it."""
     claims = np.flatnonzero((share > most) & ~np.isin(track, known))
     # The least probable first: of those that claim one id, the last stays.
     order = claims[np.argsort(r[claims] * share[claims], kind="stable")]
     last = len(order) - 1 - np.unique(track[order[::-1]], return_index=True)[1]
-    resumed = np.full(len(z), ABSENT, np.int64)
+    resumed = np.full(len(track), ABSENT, np.int64)
     resumed[order[last]] = track[order[last]]
     return resumed
 
 
 def _explained(
     recycled: NDArray[np.int64],
+    measurement_of: Index,
+    log_share: FloatArray,
     part_of: FloatArray,
-    density: FirstDetectionDensity,
-    z: FloatArray,
-    log_e: FloatArray,
+    measurements: int,
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """Of each of these first detections z (n,2), the recycled track that explains most of it, and
+    """Of each of these first detections (n,), the recycled track that explains most of it, and
     the share of e, the intensity of first detections there, that comes from it.
 
-    recycled (P,), part_of (P,) : track and share of `RecycledFrom`.  log_e (n,) : of e.
+    Of pairs of a recycled component and a first detection: recycled (p,), part_of (p,) : track and
+    share of `RecycledFrom`; measurement_of (p,); log_share (p,) : log of the pair's share of e.
     """
-    track, share = np.full(len(z), ABSENT, np.int64), np.zeros(len(z))
-    rows = np.flatnonzero(recycled != ABSENT)
-    left_behind = FirstDetectionDensity(
-        density.innovation.take(rows), density.log_height[rows], density.gate
-    )
-    pairs = left_behind.pairs(z)
-    if not len(pairs.row):
+    track, share = np.full(measurements, ABSENT, np.int64), np.zeros(measurements)
+    if not len(recycled):
         return track, share
-    part = np.exp(pairs.log_weight - log_e[pairs.measurement]) * part_of[rows[pairs.row]]
-    by_track = np.lexsort((recycled[rows[pairs.row]], pairs.measurement))
-    measurement = pairs.measurement[by_track]
-    of_track = recycled[rows[pairs.row[by_track]]]
+    part = np.exp(log_share) * part_of
+    by_track = np.lexsort((recycled, measurement_of))
+    measurement, of_track = measurement_of[by_track], recycled[by_track]
     begin = np.flatnonzero(
         (np.diff(measurement, prepend=-1) != 0) | (np.diff(of_track, prepend=ABSENT) != 0)
     )

@@ -51,6 +51,9 @@ class FixedDetection:
     def first(self, source: FloatArray, confidence: FloatArray) -> Marks:
         return Marks.of_source(source)
 
+    def never_detected(self, source: FloatArray) -> Marks:
+        return Marks.of_source(source)
+
 
 @dataclass(frozen=True, kw_only=True)
 class DetectionFromScores:
@@ -105,6 +108,9 @@ class DetectionFromScores:
 
     def first(self, source: FloatArray, confidence: FloatArray) -> Marks:
         return replace(Marks.of_source(source), confidence=confidence)
+
+    def never_detected(self, source: FloatArray) -> Marks:
+        return Marks.of_source(source)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +188,10 @@ class DetectionChain:
         marks = self.base.first(source, confidence)
         usual = np.full(len(marks), self.stationary)
         return replace(marks, detectable=self._after_detection(usual))
+
+    def never_detected(self, source: FloatArray) -> Marks:
+        marks = self.base.never_detected(source)
+        return replace(marks, detectable=np.full(len(marks), self.stationary))
 
     def _after_detection(self, detectable: FloatArray) -> FloatArray:
         return detectable / np.maximum(self.share(detectable), np.finfo(float).tiny)

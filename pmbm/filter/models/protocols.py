@@ -123,6 +123,10 @@ class Detection(Protocol):
     def first(self, source: FloatArray, confidence: FloatArray) -> Marks:
         """Marks of objects detected for the first time, whose classes are `source` (H,K)."""
 
+    def never_detected(self, source: FloatArray) -> Marks:
+        """Marks of objects of these classes (H,K) that this sensor has not detected yet, but
+        another has."""
+
 
 @runtime_checkable
 class Scores(Protocol):

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
+from pmbm.errors import InputError
 from pmbm.filter.density import Locals
 from pmbm.filter.models.detection import DetectionChain
-from pmbm.filter.models.protocols import DETECTIONS, Detection
+from pmbm.filter.models.protocols import DETECTIONS, SCORES, Detection, Scores
 from pmbm.filter.models.view import View
 from pmbm.kernels import twin
 from pmbm.types import FloatArray
@@ -28,6 +29,11 @@ class Sensor:
     """What the tracker assumes of the sensor.
 
     position_sd : standard deviation of a measured position, per axis, m.
+    range_sd, azimuth_sd : the same along the line of sight, m, and of the bearing, rad, of a sensor
+        that measures these; given both, they stand for `position_sd`.
+    radial_velocity_sd : standard deviation of a measured radial velocity, m/s; None reads none.
+    clutter_speed_sd : standard deviation of how fast clutter seems to move over the ground along
+        the line of sight, m/s.
     clutter_rate : expected false detections per frame over the field of view.
     detection : P_D of an object in view that nothing hides.
     occlusion : whether the other tracks, as likely as they exist, and the site's occluders hide an
@@ -37,38 +43,64 @@ class Sensor:
     box_gain : weight of the newest detection in a track's height above ground and size, against all
         before it; 1 copies the last detection, as the paper does.  Headings are always the last
         detection's.
+    describes : whether its boxes and labels say what an object is like; if not, a track keeps those
+        that another sensor gave it.
+    gate, scores : of this sensor among several, where they are not those of `Reduction` and of the
+        whole model.
     """
 
     position_sd: Annotated[float, POSITIVE] = 0.5
+    range_sd: Annotated[float | None, POSITIVE] = None
+    azimuth_sd: Annotated[float | None, POSITIVE] = None
+    radial_velocity_sd: Annotated[float | None, POSITIVE] = None
+    clutter_speed_sd: Annotated[float, POSITIVE] = 5.0
     clutter_rate: Annotated[float, NOT_NEGATIVE] = 5.0
     detection: Annotated[Detection, DETECTIONS] = field(default_factory=DetectionChain)
     occlusion: bool = True
     miss_rule: Literal["bayes", "scaled"] = "bayes"
     box_gain: Annotated[float, Bounds(above=0.0, most=1.0)] = 1.0
+    describes: bool = True
+    gate: Annotated[float | None, POSITIVE] = None
+    scores: Annotated[Scores | None, SCORES] = None
 
     def __post_init__(self) -> None:
         check_fields(self, "sensor")
+        if (self.range_sd is None) != (self.azimuth_sd is None):
+            raise InputError(
+                "sensor",
+                field="azimuth_sd" if self.azimuth_sd is None else "range_sd",
+                expected="range_sd and azimuth_sd, or neither",
+                got=None,
+            )
 
     @cached_property
     def R(self) -> FloatArray:
         """(2,2) covariance of a measured position, m^2."""
         return self.position_sd**2 * np.eye(2)
 
-    def over(self, view: View | None, *, place_by_place: bool = False) -> ObservationModel:
+    def over(
+        self,
+        view: View | None,
+        *,
+        place_by_place: bool = False,
+        detection: Detection | None = None,
+    ) -> ObservationModel:
         """The sensor in a frame in which it looks there; `view` None, everywhere, with
         `clutter_rate` in 1/m^2.
 
+        detection : P_D in this frame; None is that of the sensor.
         place_by_place : whether undetected objects are kept in components so narrow that it can be
             told which are in view and which are hidden.
         """
         return ObservationModel(
             R=self.R,
             clutter=self.clutter_rate / (1.0 if view is None else view.area),
-            detection=self.detection,
+            detection=self.detection if detection is None else detection,
             view=view,
             undetected_in_detail=place_by_place,
             scaled_misses=self.miss_rule == "scaled",
             box_gain=self.box_gain,
+            describes=self.describes,
         )
 
 
@@ -85,6 +117,7 @@ class ObservationModel:
         what is hidden, or out of view, from what is not.
     scaled_misses : the paper's rule for a miss (Sec. 2.6) in place of Bayes'.
     box_gain : weight of a new detection's height and size in a track's box.
+    describes : whether a track takes over a new detection's box and label.
     """
 
     R: FloatArray
@@ -95,6 +128,7 @@ class ObservationModel:
     undetected_in_detail: bool = False
     scaled_misses: bool = False
     box_gain: float = 1.0
+    describes: bool = True
 
     def of_undetected(
         self, mean: FloatArray, cov: FloatArray
@@ -167,6 +201,8 @@ class ObservationModel:
 
     def boxed(self, before: FloatArray, detected: FloatArray) -> FloatArray:
         """Boxes (n,5) after detections: height and size with those before, the newest heading."""
+        if not self.describes:
+            return before
         if self.box_gain == 1:
             return detected
         box = before + self.box_gain * (detected - before)

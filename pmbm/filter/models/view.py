@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from pmbm.kernels import twin
-from pmbm.types import FloatArray, Site
+from pmbm.types import FloatArray, MountedSensor, Site
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -24,7 +24,7 @@ class View:
     max_range: float
 
     @staticmethod
-    def of(site: Site, pose: FloatArray) -> View:
+    def of(site: Site | MountedSensor, pose: FloatArray) -> View:
         return View(pose, site.fov_centre, site.fov_half_angle, site.max_range)
 
     @property
