@@ -20,7 +20,7 @@ from pmbm.arrays import FloatArray
 from pmbm.durable import replace_text
 from pmbm.errors import InputError, nearest_hint
 from pmbm.types import Detections, Label
-from pmbm.validation import Checker, equal_fields
+from pmbm.validation import Checker, equal_fields, hash_of_fields
 
 Scale = Literal["score", "raw_score"]
 
@@ -74,6 +74,7 @@ class ScoreModel:
             )
 
     __eq__ = equal_fields
+    __hash__ = hash_of_fields
 
     def read(self, detections: Detections) -> FloatArray:
         """The scores (N,) on the scale that this model reads.
@@ -220,6 +221,7 @@ class Calibration:
         door.number("apart", at_least=0.0)
 
     __eq__ = equal_fields
+    __hash__ = hash_of_fields
 
     def log_odds(self, detections: Detections) -> FloatArray:
         """(N,) log-odds of every detection, of whatever label.

@@ -191,6 +191,14 @@ def equal_fields(one: Any, other: Any) -> bool:
     )
 
 
+def hash_of_fields(one: Any) -> int:
+    """A hash that goes with `equal_fields`."""
+    values = (getattr(one, f.name) for f in fields(one))
+    # Equal arrays may differ in the sign of a zero.
+    plain = ((v + 0.0).tobytes() if isinstance(v, np.ndarray) else v for v in values)
+    return hash((type(one).__name__, *plain))
+
+
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """A read-only, C-ordered array that shares no memory with one that others may write."""
     if array.flags.writeable or not array.flags.c_contiguous or array.base is not None:

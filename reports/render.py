@@ -13,6 +13,7 @@ from pmbm.reports.encode import encode_replay
 from pmbm.reports.page import render_page, script_json
 from pmbm.reports.tables import Row, Table, metric_rows, metric_tables
 from pmbm.reports.values import ReplayPage, Section
+from pmbm.wording import counted
 
 LAYERS = (
     ("truth", "truth"),
@@ -142,8 +143,9 @@ def _lede(sections: Sequence[Section]) -> str:
     trials = sorted({section.summary.trials for section in sections})
     count = "–".join(str(n) for n in dict.fromkeys([trials[0], trials[-1]]))
     plural = "" if trials[-1] == 1 else "s"
-    what = "1 scenario" if len(sections) == 1 else f"{len(sections)} scenarios"
-    return f"{what}, {count} trial{plural} each, {len(trackers)} trackers: {', '.join(trackers)}."
+    what = counted(len(sections), "scenario")
+    shown = f"{counted(len(trackers), 'tracker')}: {', '.join(trackers)}"
+    return f"{what}, {count} trial{plural} each, {shown}."
 
 
 def facts(mapping: Mapping[str, Any], prefix: str = "") -> tuple[tuple[str, str], ...]:

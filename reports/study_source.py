@@ -82,8 +82,9 @@ def stored_report(
         },
         reference=reference or results.trackers[0],
     )
-    chosen = worst_trials(results, report.reference or results.trackers[0], worst)
-    return replace(report, worst=[_played(results, sources, file, one) for one in chosen])
+    tracker = report.reference or results.trackers[0]
+    chosen = worst_trials(results, tracker, worst)
+    return replace(report, worst=[_played(results, sources, file, one, tracker) for one in chosen])
 
 
 def worst_trials(results: StudyResults, tracker: str, count: int) -> list[_Candidate]:
@@ -127,14 +128,17 @@ class _Sources:
             return ""
 
 
-def _played(results: StudyResults, sources: _Sources, file: str, one: _Candidate) -> WorstTrial:
+def _played(
+    results: StudyResults, sources: _Sources, file: str, one: _Candidate, tracker: str
+) -> WorstTrial:
     cells = results.document["cells"]
     index = one.trial.trial * len(cells) + one.cell
     summary = results.summary(one.cell)
     assert summary is not None
     metric = shown_metric(leading_metric([summary]))
     label = results.cells["label"][one.cell]
-    why = f"{label}, trial {one.trial.trial}: {metric.name} {one.value:.3g} {metric.unit}".strip()
+    value = f"{metric.name} of {tracker} {one.value:.3g} {metric.unit}".strip()
+    why = f"{label}, trial {one.trial.trial}: {value}"
     command = shlex.join(["pmbm", "study", file, "--replay", str(index)])
     trackers = {
         t["name"]: ConfiguredTracker(t["factory"], tuple(sorted(t["parameters"].items())))

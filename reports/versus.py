@@ -10,7 +10,8 @@ from pmbm.reports.study_report import ALPHA, holm, p_value
 from pmbm.reports.tables import Verdict, code_block, markdown_table, plain_markdown, shown_metric
 from pmbm.study import Estimate, StudyResults, Summary
 
-_SHOWN: dict[Verdict, str] = {"better": "better", "worse": "**worse**", "tie": "no different"}
+_SHOWN: dict[Verdict, str] = {"better": "worse", "worse": "**better**", "tie": "no different"}
+"""The verdict on the reference -> what a cell says of its own tracker."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ def versus_markdown(
     bounds: Collection[str] = (),
     commands: Sequence[str] = (),
 ) -> str:
-    """The comparison as a page of Markdown: how often better and worse, then every setting.
+    """The comparison as a page of Markdown: how often the reference is better and worse, then every
+    setting, with the verdict on the tracker that the column is of.
 
     reference : the tracker that is compared with the others; by default the study's first.
     bounds : trackers that know the truth: shown with the reference's regret, not judged.
@@ -106,7 +108,7 @@ def versus_markdown(
         f"{len(results.failures)} without result; pmbm {_version(results)}; "
         f"digest {(results.digest or 'none: rows are damaged')[:16]}. A cell is the mean of that "
         f"tracker, then its paired difference from {shown_reference} with its interval, then the "
-        f"verdict on {shown_reference} by Holm's procedure over all {len(compared)} comparisons "
+        f"verdict on that tracker by Holm's procedure over all {len(compared)} comparisons "
         "(5 %). An interval has the level at which its difference was judged and excludes zero "
         "where the verdict is clear; the intervals are not simultaneous: 5 % bounds the chance of "
         "a wrong verdict, not of an interval that misses.",
@@ -135,7 +137,7 @@ def _counts(compared: Sequence[Comparison], rivals: Sequence[str], reference: st
     for name in rivals:
         mine = [one.verdict for one in compared if one.tracker == name]
         rows.append([name, *(str(mine.count(kind)) for kind in ("better", "tie", "worse"))])
-    header = [f"{reference} against", "better", "no different", "worse"]
+    header = [f"{reference} against", f"{reference} better", "no different", f"{reference} worse"]
     return [markdown_table(header, rows, 1)]
 
 

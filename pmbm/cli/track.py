@@ -170,14 +170,15 @@ def class_trackers(
 ) -> dict[Label, ConfiguredTracker]:
     """The tracker of each class with its parameters: those of the file's top level, and over them
     those of the class's own table."""
-    from pmbm.study.configured import ConfiguredTracker, merged, nested
+    from pmbm.study.configured import ConfiguredTracker, config_of, merged, nested
     from pmbm.types import Label
 
     values = {} if config is None else read_toml(config)
     own = {name: values.pop(name, {}) for name in dataset.known_classes}
     trackers = {}
     for name, label in zip(dataset.classes, dataset.labels, strict=True):
-        parameters = merged(nested(values), nested(_table(own[name], name, config)))
+        over = nested(_table(own[name], name, config))
+        parameters = merged(nested(values), over, config_of(tracker))
         configured = ConfiguredTracker(tracker, tuple(parameters.items()))
         with _blaming(config):
             configured.bound()

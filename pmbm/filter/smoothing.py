@@ -53,7 +53,7 @@ def smooth(
     steps : what the tracker reported, in order of time, with covariances; boxes as detected.
     config : of that tracker; its noise and `keep_above` count (default: `PMBMConfig()`).
     inspections : what the tracker's `inspect()` gave at each step, which tells existence from being
-        no ghost; None, a track is taken to exist wherever it is reported.
+        no persistent clutter; None, a track is taken to exist wherever it is reported.
 
     Raises
     ------

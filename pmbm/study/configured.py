@@ -90,18 +90,51 @@ def nested(parameters: Mapping[str, Any]) -> dict[str, Any]:
     return table
 
 
-def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+def merged(under: Mapping[str, Any], over: Mapping[str, Any], config: Any = None) -> dict[str, Any]:
     """Nested tables of which the values of `over` count, but where a table of another `kind` stands
-    in its place."""
+    in its place.
+
+    config : the dataclass that the tables are of: its fields' defaults have a kind too.
+    """
     result = dict(under)
     for name, value in over.items():
         below = result.get(name)
         if isinstance(below, Mapping) and isinstance(value, Mapping):
-            same_kind = value.get("kind", below.get("kind")) == below.get("kind")
-            result[name] = merged(below, value) if same_kind else value
-        else:
-            result[name] = value
+            default, members, inner = _default(config, name)
+            kind = below.get("kind", default)
+            if value.get("kind", kind) == kind:
+                if members is not None and kind is not None:
+                    inner = members.of_kind(kind)
+                result[name] = merged(below, value, inner)
+                continue
+        result[name] = value
     return result
+
+
+def config_of(factory: str) -> Any:
+    """The dataclass of a tracker's parameters, or None where it has none.
+
+    Raises InputError for an unknown tracker.
+    """
+    named = tracker_factory(factory)
+    return _config_type(named.tracks if isinstance(named, Bound) else named)
+
+
+def _default(config: Any, name: str) -> tuple[str | None, Any, Any]:
+    """Of a dataclass's field: the kind that it has by default and the members that kinds name, or
+    the dataclass that it is."""
+    if config is None:
+        return None, None, None
+    found = [one for one in dataclasses.fields(config) if one.name == name]
+    if not found:
+        return None, None, None
+    hint = typing.get_type_hints(config, include_extras=True)[name]
+    members = _members(hint)
+    if members is None:
+        return None, None, _dataclass_in(hint)
+    factory = found[0].default_factory
+    default = found[0].default if factory is dataclasses.MISSING else factory()
+    return members.kind_of(default), members, None
 
 
 def from_table(config: Any, values: Mapping[str, Any], path: str = "") -> Any:
@@ -152,9 +185,7 @@ def _renamed(config: Any, name: str) -> str | None:
 def _member(config: Any, name: str, hint: Any, value: Mapping[str, Any], path: str) -> Any:
     """The value of a field that a file gives as a table."""
     values = dict(value)
-    members = next(
-        (one for one in getattr(hint, "__metadata__", ()) if hasattr(one, "of_kind")), None
-    )
+    members = _members(hint)
     if typing.get_origin(hint) is collections.abc.Mapping:
         kind = typing.get_args(hint)[1]
         if not dataclasses.is_dataclass(kind):
@@ -177,7 +208,12 @@ def _member(config: Any, name: str, hint: Any, value: Mapping[str, Any], path: s
     return from_table(default.default_factory, values, path)
 
 
-def _config_type(factory: TrackerFactory) -> Any:
+def _members(hint: Any) -> Any:
+    """What gives the classes of kinds for an annotated field; None where it has one class."""
+    return next((one for one in getattr(hint, "__metadata__", ()) if hasattr(one, "of_kind")), None)
+
+
+def _config_type(factory: Any) -> Any:
     """The dataclass that the parameter `config` is annotated with, if it is one."""
     target: Any = factory.__init__ if inspect.isclass(factory) else factory
     return _dataclass_in(typing.get_type_hints(target).get("config"))

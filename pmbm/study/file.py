@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pmbm.errors import InputError, nearest_hint
-from pmbm.study.configured import ConfiguredTracker, merged, nested
+from pmbm.study.configured import ConfiguredTracker, config_of, merged, nested
 from pmbm.study.design import Point, grid, latin_hypercube
 from pmbm.study.study import Cell, Resolve, Study
 from pmbm.wording import expected_of
@@ -152,7 +152,7 @@ def _tracker(name: str, written: TrackerForm | None, file: Path, point: Point) -
     parameters: dict[str, Any] = {}
     if written is not None:
         stored = {} if written.config is None else _document(file.parent / written.config)
-        parameters = merged(nested(stored), nested(written.parameters))
+        parameters = merged(nested(stored), nested(written.parameters), config_of(factory))
     own = f"{_TRACKER}{name}."
     parameters |= {key[len(own) :]: v for key, v in point.items() if key.startswith(own)}
     return ConfiguredTracker(factory, tuple(sorted(parameters.items())))

@@ -1,4 +1,4 @@
-"""What splitting, merging and capping the map of the unseen must not change."""
+"""What splitting, merging and capping the map of undetected objects must not change."""
 
 import numpy as np
 import pytest

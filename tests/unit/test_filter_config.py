@@ -458,3 +458,13 @@ def test_survival_and_births_of_the_default_are_those_of_their_parts():
     assert "LastingScores" in repr(PMBMConfig())
     assert "DetectionChain" in repr(PMBMConfig())
     assert Survival() == PMBMConfig().survival
+
+
+def test_configurations_hash_by_their_values():
+    one, other = PMBMConfig(), PMBMConfig()
+    assert hash(one) == hash(other)
+    assert len({one, other, PMBMConfig.paper(), PMBMConfig.textbook()}) == 3
+    zero = LastingScores(level=[-1.2, 0.0, 1.3])
+    minus = LastingScores(level=[-1.2, -0.0, 1.3])
+    assert zero == minus
+    assert hash(zero) == hash(minus)

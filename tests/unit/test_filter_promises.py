@@ -229,7 +229,7 @@ def test_a_moved_and_turned_world_hides_the_same(turn):
 
 
 def test_a_tracker_that_was_asked_is_copied_like_any_other():
-    """Also with the map of the unseen, whose ground is kept between steps."""
+    """Also with the map of undetected objects, whose ground is kept between steps."""
     frames = drive(6, frames=8)
     config = PMBMConfig(birth=BirthMap(spacing=4.0), report=Report(history=3))
     tracker = PMBMTracker(config, Site(max_range=40.0))

@@ -1,4 +1,4 @@
-"""The map of the unseen: its lattice, its shadows, and what bounds it."""
+"""The map of undetected objects: its lattice, its shadows, and what bounds it."""
 
 import itertools
 from dataclasses import replace

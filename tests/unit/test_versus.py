@@ -1,12 +1,14 @@
 """One tracker against the others: verdicts by Holm, and the bound beside them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from pmbm.cli import main
 from pmbm.errors import InputError
-from pmbm.reports.versus import compare
+from pmbm.reports.versus import compare, versus_markdown
 from pmbm.sim import load_scenario
 from pmbm.study import ConfiguredTracker, TrialResult, run_trial, summarise
 from pmbm.study.trial import StepTime
@@ -145,7 +147,7 @@ def test_the_page_of_a_store(store, tmp_path, capsys):
     assert "4 of 4 trials, seed 1; 0 without result" in text
     assert "over all 2 comparisons" in text
     assert "the intervals are not simultaneous" in text
-    assert "| pmbm against | better | no different | worse |" in text.replace("--:", "---")
+    assert "| pmbm against | pmbm better | no different | pmbm worse |" in text
     rows = [line for line in text.splitlines() if line.startswith("| single_straight")]
     assert len(rows) == 2
     assert all(row.count("±") == 1 for row in rows)
@@ -165,3 +167,40 @@ def test_the_page_of_a_store(store, tmp_path, capsys):
 def test_bad_arguments(store, capsys, arguments, message):
     assert versus(store, *arguments) == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_cell_says_of_its_own_tracker_whether_it_is_better():
+    """Where a tracker has less GOSPA than the reference, it is better, and stands out."""
+    shift = {"reference": 0.0, "good": -1.0, "bad": 1.0}
+    rng = np.random.default_rng(0)
+    noise = {name: rng.normal(5.0, 0.01, 8) for name in shift}
+    results = [
+        TrialResult(
+            *("s", 0, trial, "d"),
+            {name: {"gospa": float(noise[name][trial]) + by} for name, by in shift.items()},
+            {},
+        )
+        for trial in range(8)
+    ]
+    page = versus_markdown(
+        SimpleNamespace(
+            name="s",
+            trackers=tuple(shift),
+            cells={"label": ["s"]},
+            summary=lambda cell, reference: summarise(results, reference),
+            done=8,
+            total=8,
+            seed=0,
+            failures=(),
+            provenance={},
+            digest="d",
+        ),
+        "gospa",
+    )
+    (row,) = (line for line in page.splitlines() if line.startswith("| s |"))
+    *_, good, bad, _ = (cell.strip() for cell in row.split("|"))
+    assert "(-1.0" in good
+    assert good.endswith(" **better**")
+    assert "(+0.9" in bad or "(+1.0" in bad
+    assert bad.endswith(" worse")
+    assert "| reference against | reference better | no different | reference worse |" in page

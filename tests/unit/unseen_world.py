@@ -1,4 +1,4 @@
-"""Undetected objects one by one: what the map of the unseen is held against.
+"""Undetected objects one by one: what the map of undetected objects is held against.
 
 A particle is an object that is born, moves, dies and is looked at on its own; no Gaussian mixture,
 no lattice and no bearings are involved.

@@ -53,7 +53,8 @@ class Inspection:
     expected_undetected : expected number of objects in view that were never detected so far; tracks
         that were given up are not among them.
     track_id (T,), existence (T,) : probability that the object exists, over all hypotheses.
-    object (T,) : that it exists and is no ghost.  in_view (T,) : that it is where the sensor looks.
+    object (T,) : that it exists and is no persistent clutter.
+    in_view (T,) : that it is where the sensor looks.
     report_above : what `object` must exceed for the track to be reported.
     cluster (T,) : tracks of one cluster depend on each other.
     hypothesis_track (H,) : row of the track table.  probability (H,) : of the hypothesis; those of

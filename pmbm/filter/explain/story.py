@@ -193,8 +193,8 @@ def _ending(track_id: int, seen: Inspection, tracks: Tracks) -> str:
     reasons = []
     if seen.object[track] <= seen.report_above:
         reasons.append(
-            f"the probability that it exists and is no ghost, {seen.object[track]:.3f}, is not "
-            f"above {seen.report_above:g}"
+            f"the probability that it exists and is no persistent clutter, "
+            f"{seen.object[track]:.3f}, is not above {seen.report_above:g}"
         )
     if seen.in_view[track] <= 0.5:
         reasons.append(

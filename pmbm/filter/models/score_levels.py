@@ -14,7 +14,7 @@ from pmbm.filter.models.protocols import SceneDensity
 from pmbm.filter.models.scores import ScoredDetections
 from pmbm.score import Calibration, ScoreModel
 from pmbm.types import Detections, FloatArray, Label
-from pmbm.validation import Checker, equal_fields
+from pmbm.validation import Checker, equal_fields, hash_of_fields
 
 if TYPE_CHECKING:
     from pmbm.filter.density import Locals
@@ -107,6 +107,7 @@ class ScoreLevels:
             raise InputError("score levels", field="label", expected="a label", got=self.label)
 
     __eq__ = equal_fields
+    __hash__ = hash_of_fields
 
     @property
     def classes(self) -> int:

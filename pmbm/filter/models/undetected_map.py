@@ -1,4 +1,4 @@
-"""The map of the unseen: undetected objects in detail, on a lattice fixed to the world.
+"""The map of undetected objects: the PPP place by place, on a lattice fixed to the world.
 
 With it the PPP holds, place by place, how many objects may be where nobody could have seen them
 (Pang & Radha 2021, Sec. 2.2): every component is at most a few metres wide, so that what stands in

@@ -13,6 +13,7 @@ from pmbm.errors import InputError
 from pmbm.filter import PMBMTracker
 from pmbm.study import ConfiguredTracker
 from pmbm.study.code import code_version
+from pmbm.study.configured import config_of, merged
 from pmbm.study.design import grid, latin_hypercube
 from pmbm.study.file import json_schema, load_study
 from pmbm.types import Site
@@ -276,3 +277,18 @@ def test_parameters_from_a_file_of_their_own(tmp_path):
     for bad, message in (("nowhere.toml", "cannot read it"), ("night.toml", "PMBMConfig has no")):
         with pytest.raises(InputError, match=message):
             load(tmp_path, text.replace("tuned.toml", bad))
+
+
+def test_a_table_of_the_default_kind_keeps_what_lies_under_it():
+    """The lower table has no kind, so it is of the default's; the upper one says that very kind."""
+    config = config_of("pmbm")
+    under = {"scores": {"drift": 0.1}, "sensor": {"detection": {"prior_seconds": 3.0}}}
+    lasting = {"scores": {"kind": "lasting", "scatter": 2.0}}
+    assert merged(under, lasting, config)["scores"] == {**under["scores"], **lasting["scores"]}
+    chain = {"sensor": {"detection": {"kind": "chain"}}}
+    assert merged(under, chain, config)["sensor"]["detection"] == {
+        "prior_seconds": 3.0,
+        "kind": "chain",
+    }
+    every = {"scores": {"kind": "every"}}
+    assert merged(under, every, config)["scores"] == every["scores"]
