@@ -81,7 +81,7 @@ def _style() -> str:
     def block(colours: dict[str, str]) -> str:
         return ":root{" + "".join(f"--{name}:{value};" for name, value in colours.items()) + "}"
 
-    dark = "@media (prefers-color-scheme: dark){" + block(DARK) + "}"
+    dark = "@media screen and (prefers-color-scheme: dark){" + block(DARK) + "}"
     return "\n".join([block(LIGHT), dark, _read("page.css")])
 
 

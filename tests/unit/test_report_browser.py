@@ -468,6 +468,68 @@ def test_narrow_screens_do_not_scroll_sideways(browser, plain_page):
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
+@pytest.fixture
+def three(browser, tmp_path):
+    """A page of three trackers, in a window whose size a test may set."""
+    scene = recording()
+    by_tracker = {
+        "pmbm": tracks(scene, undetected=True),
+        "argoverse": tracks(scene, sloppy=True),
+        "probabilistic_kf": tracks(scene, sloppy=True),
+    }
+    path = tmp_path / "three.html"
+    path.write_text(page(scene, by_tracker), encoding="utf-8")
+    opened(browser, path)
+
+    def sized(width):
+        metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        settle(browser)
+        settle(browser)
+
+    browser.sized = sized
+    yield browser
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_the_verdicts_on_three_trackers_fit_on_a_laptop(three):
+    three.sized(1400)
+    widths = three.execute_script(
+        "const e = document.querySelector('.scroll'); return [e.scrollWidth, e.clientWidth]"
+    )
+    assert widths[0] == widths[1]
+
+
+def test_a_phone_shows_every_entry_of_a_legend(three):
+    three.sized(390)
+    ends, width, lines = three.execute_script(
+        "const p = player.plots, ends = [], lines = [];"
+        "for (const row of p.rows) {"
+        "  const names = p.names(row), at = p.placed(p.longestTitle(row), names);"
+        "  lines.push(at.lines);"
+        "  names.forEach((n, i) => ends.push("
+        "    at.places[i].x + 12 + p.context.measureText(n + ' 88.88').width));"
+        "}"
+        "return [ends, p.width, lines]"
+    )
+    assert len(ends) == 4 + 3 + 3
+    assert max(ends) <= width
+    assert max(lines) > 1
+
+
+def test_a_replay_is_drawn_before_a_printer_sees_it(three):
+    """A new size clears canvases; paper waits for no animation frame that would draw them again."""
+    blank = three.execute_script(
+        "player.resize();"
+        "return [...document.querySelectorAll('.replay canvas')].map((drawn) => {"
+        "  const empty = document.createElement('canvas');"
+        "  [empty.width, empty.height] = [drawn.width, drawn.height];"
+        "  return empty.toDataURL() === drawn.toDataURL();"
+        "})"
+    )
+    assert blank == [False, False]
+
+
 def test_empty_recordings_and_no_tracks_are_shown(browser, tmp_path):
     from pmbm.types import Tracks, TrackSequence
 

@@ -22,11 +22,20 @@ function readColours() {
 function start() {
   const colours = readColours();
   const players = [];
+  const opened = new Set();
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     Object.assign(colours, readColours());
     players.forEach((player) => player.refresh());
   });
+  // Paper is light, whatever the screen is.
+  window.matchMedia("print").addEventListener("change", () => {
+    Object.assign(colours, readColours());
+    players.forEach((player) => player.draw());
+  });
   const open = async (root) => {
+    watcher.unobserve(root);
+    if (opened.has(root)) return;
+    opened.add(root);
     try {
       const data = JSON.parse(document.getElementById(root.dataset.replay).textContent);
       players.push(new Player(root, await decode(data), colours));
@@ -37,12 +46,17 @@ function start() {
   };
   // A replay is unpacked when it comes near the screen.
   const watcher = new IntersectionObserver((entries) => {
-    for (const entry of entries.filter((e) => e.isIntersecting)) {
-      watcher.unobserve(entry.target);
-      open(entry.target);
-    }
+    entries.filter((e) => e.isIntersecting).forEach((entry) => open(entry.target));
   }, { rootMargin: "600px" });
-  document.querySelectorAll(".replay").forEach((root) => watcher.observe(root));
+  const roots = [...document.querySelectorAll(".replay")];
+  roots.forEach((root) => watcher.observe(root));
+  // The others when there is time, so that they are there when the page is printed.
+  const idle = window.requestIdleCallback ?? ((work) => setTimeout(work, 200));
+  const rest = () => {
+    const next = roots.find((root) => !opened.has(root));
+    if (next) open(next).then(() => idle(rest));
+  };
+  window.addEventListener("load", () => idle(rest));
 }
 
 start();

@@ -342,11 +342,12 @@ class Player {
     for (const { canvas } of this.views) fitCanvas(canvas);
     const first = this.views[0].canvas;
     [this.camera.width, this.camera.height] = [first.clientWidth, first.clientHeight];
+    this.plots.width = this.plots.canvas.clientWidth;
     this.plots.canvas.style.height = `${this.plots.height}px`;
     fitCanvas(this.plots.canvas);
-    this.plots.width = this.plots.canvas.clientWidth;
     if (this.atHome) this.home();
-    this.refresh();
+    // At once: a printer waits for no animation frame, and would see canvases that were cleared.
+    this.draw();
   }
 
   refresh() {

@@ -1,6 +1,8 @@
 // Time series under the scene, with the scrubber's cursor.
 
 const PLOT_MARGIN = { left: 44, right: 14, top: 22, bottom: 6 };
+const PLOT_HEIGHT = 68;
+const LEGEND_LINE = 14;
 
 class Plots {
   constructor(canvas, data, colours) {
@@ -10,7 +12,50 @@ class Plots {
   }
 
   get height() {
-    return this.rows.length * 96 + 20;
+    return this.boxes().at(-1).bottom + PLOT_MARGIN.bottom + 20;
+  }
+
+  // Where each row is drawn: below the other, its legend above it in as many lines as it takes.
+  boxes() {
+    let y = 0;
+    return this.rows.map((row) => {
+      const { lines } = this.placed(this.longestTitle(row), this.names(row));
+      const top = y + PLOT_MARGIN.top + LEGEND_LINE * (lines - 1);
+      y = top + PLOT_HEIGHT + PLOT_MARGIN.bottom;
+      return { top, bottom: top + PLOT_HEIGHT };
+    });
+  }
+
+  names(row) {
+    return row.components ? COMPONENTS.map(([, name]) => name) : row.lines.map((line) => line.name);
+  }
+
+  title(row, tracker) {
+    return row.components && this.data.trackers.length > 1 ? `${row.title}: ${tracker.name}` : row.title;
+  }
+
+  longestTitle(row) {
+    const titles = this.data.trackers.map((tracker) => this.title(row, tracker));
+    return titles.reduce((a, b) => (b.length > a.length ? b : a), row.title);
+  }
+
+  // Where a legend's entries go: one after another, on a further line where they do not fit.
+  placed(title, names) {
+    const c = this.context;
+    c.save();
+    c.font = this.colours.font(11, 600);
+    let x = PLOT_MARGIN.left + c.measureText(title).width + 14;
+    c.font = this.colours.font(11);
+    let line = 0;
+    const places = names.map((name) => {
+      const width = c.measureText(`${name} 88.88`).width;
+      if (x + 14 + width > this.width) [x, line] = [PLOT_MARGIN.left, line + 1];
+      const place = { x, line };
+      x += width + 26;
+      return place;
+    });
+    c.restore();
+    return { places, lines: line + 1 };
   }
 
   describe() {
@@ -57,8 +102,9 @@ class Plots {
   draw(state) {
     const c = this.context;
     c.clearRect(0, 0, this.width, this.height);
+    const boxes = this.boxes();
     this.rows.forEach((row, i) => {
-      const box = { top: i * 96 + PLOT_MARGIN.top, bottom: (i + 1) * 96 - PLOT_MARGIN.bottom };
+      const box = boxes[i];
       if (row.components) this.components(row, box, state);
       else this.lines(row, box, state);
     });
@@ -92,27 +138,24 @@ class Plots {
   }
 
   // The row's title, then the values under the cursor in their own colours: legend and reading.
-  heading(row, box, entries) {
+  heading(row, box, entries, title = row.title) {
     const c = this.context;
     c.save();
     c.textAlign = "left";
     c.font = this.colours.font(11, 600);
     c.fillStyle = this.colours.ink;
-    let x = PLOT_MARGIN.left;
-    const y = box.top - 8;
-    c.fillText(row.title, x, y);
-    x += c.measureText(row.title).width + 14;
+    const { places, lines } = this.placed(this.longestTitle(row), this.names(row));
+    const first = box.top - 8 - LEGEND_LINE * (lines - 1);
+    c.fillText(title, PLOT_MARGIN.left, first);
     c.font = this.colours.font(11);
-    for (const { name, value, colour } of entries) {
-      const words = `${name} ${value === null ? "–" : value.toFixed(row.digits)}`;
-      const width = c.measureText(words).width;
-      if (x + 14 + width > this.width) break;
+    entries.forEach(({ name, value, colour }, i) => {
+      const { x, line } = places[i];
+      const y = first + LEGEND_LINE * line;
       c.fillStyle = colour;
       c.fillRect(x, y - 8, 8, 8);
       c.fillStyle = this.colours.soft;
-      c.fillText(words, x + 12, y);
-      x += width + 26;
-    }
+      c.fillText(`${name} ${value === null ? "–" : value.toFixed(row.digits)}`, x + 12, y);
+    });
     c.restore();
   }
 
@@ -201,8 +244,7 @@ class Plots {
     }
     c.restore();
     const entries = parts.map((p) => ({ name: p.name, value: p.values[state.frame] ?? null, colour: p.colour }));
-    const title = this.data.trackers.length > 1 ? `${row.title}: ${tracker.name}` : row.title;
-    this.heading({ ...row, title }, box, entries);
+    this.heading(row, box, entries, this.title(row, tracker));
   }
 
   // A value beyond the axis: a notch at its top.
