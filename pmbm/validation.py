@@ -193,10 +193,14 @@ def equal_fields(one: Any, other: Any) -> bool:
 
 def hash_of_fields(one: Any) -> int:
     """A hash that goes with `equal_fields`."""
-    values = (getattr(one, f.name) for f in fields(one))
-    # Equal arrays may differ in the sign of a zero.
-    plain = ((v + 0.0).tobytes() if isinstance(v, np.ndarray) else v for v in values)
-    return hash((type(one).__name__, *plain))
+    return hash((type(one).__name__, *(_hashable(getattr(one, f.name)) for f in fields(one))))
+
+
+def _hashable(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        # Equal arrays may differ in the sign of a zero.
+        return (value + 0.0).tobytes()
+    return frozenset(value.items()) if isinstance(value, Mapping) else value
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:

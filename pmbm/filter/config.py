@@ -15,7 +15,15 @@ from pmbm.filter.models.protocols import BIRTHS, MOTIONS, SCORES, Birth, Motion,
 from pmbm.filter.models.score_levels import LastingScores
 from pmbm.filter.models.scores import FirstScore, IgnoreScores
 from pmbm.filter.models.sensor import Sensor
-from pmbm.validation import COUNT, NOT_NEGATIVE, POSITIVE, SHARE, Bounds, check_fields
+from pmbm.validation import (
+    COUNT,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SHARE,
+    Bounds,
+    check_fields,
+    hash_of_fields,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,6 +143,8 @@ class PMBMConfig:
                     expected=f"1 class of sources, or the {self.scores.classes} of the model's",
                     got=classes,
                 )
+
+    __hash__ = hash_of_fields
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Mapping proxies do not pickle.
