@@ -12,6 +12,7 @@ import numpy as np
 
 _TRACKER = 0x747261636B
 """Keeps a tracker's draws apart from the streams of simulated worlds, which have keys of three."""
+_RECORDING = 0x7265636F7264
 
 _alone = threading.RLock()
 
@@ -25,6 +26,12 @@ def tracker_seed(seed: int, run: int | str) -> int:
     """
     number = zlib.crc32(run.encode()) if isinstance(run, str) else run
     sequence = np.random.SeedSequence(seed, spawn_key=(number, _TRACKER))
+    return int(sequence.generate_state(1)[0])
+
+
+def recording_seed(seed: int, trial: int) -> int:
+    """The seed, below 2**32, of a trial's recording where its source takes no trial."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(trial, _RECORDING))
     return int(sequence.generate_state(1)[0])
 
 

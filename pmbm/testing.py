@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any
 from unittest import SkipTest
 
 from pmbm.durable import replace_text
+from pmbm.errors import InputError
 from pmbm.metrics import evaluate
 from pmbm.metrics.catalogue import definition
 from pmbm.seeding import tracker_seed
-from pmbm.study import Source, estimate
+from pmbm.study import NamedSource, Source, estimate, is_named_source, recorded
 from pmbm.tracking import TrackerFactory, track, tracker_factory
 from pmbm.types import Recording, TrackSequence
 from pmbm.wording import counted
@@ -200,7 +201,7 @@ def _outcome(
     factory = tracker_factory(tracker) if isinstance(tracker, str) else tracker
     runs = []
     for trial in range(trials) if only is None else [only]:
-        recording = world.record(seed, trial)
+        recording = recorded(world, seed, trial)
         try:
             tracks = track(factory, recording, tracker_seed(seed, trial))
         except Exception as error:
@@ -350,10 +351,14 @@ def _source(source: Source | str, level: Any) -> Source:
     if isinstance(source, str):
         from pmbm.sim import load_scenario
 
-        found: Any = load_scenario(source)
+        found: Any = NamedSource(source) if is_named_source(source) else load_scenario(source)
     else:
         found = source
-    return found if level is None else found.at(level)
+    if level is None:
+        return found
+    if not hasattr(found, "at"):
+        raise InputError(f"source '{found.name}' has no levels", field="level", got=level)
+    return found.at(level)
 
 
 def _write_page(

@@ -14,7 +14,15 @@ from pmbm.reports.matching import identity_switches
 from pmbm.reports.render import run_page
 from pmbm.reports.values import ReplayPage, Section
 from pmbm.seeding import tracker_seed
-from pmbm.study import Source, StepTime, TrackerError, TrialResult, follow, summarise
+from pmbm.study import (
+    Source,
+    StepTime,
+    TrackerError,
+    TrialResult,
+    follow,
+    recorded,
+    summarise,
+)
 from pmbm.tracking import TrackerFactory, tracker_factory
 
 _OF_SWITCHES = ("id_switches", "fragmentations", "idf1", "idp", "idr", "assa", "id_kept")
@@ -42,7 +50,7 @@ def trial_replay(
     with_maps : trackers that offer `with_map` are run once more, so made: where they expect
         undetected objects is then shown in detail.  Their tracks and scores stay those without.
     """
-    recording = source.record(seed, trial)
+    recording = recorded(source, seed, trial)
     own = tracker_seed(seed, trial)
     tracks, series, times, maps = {}, {}, {}, {}
     scores: dict[str, dict[str, float | None]] = {}

@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 COMMANDS = {
+    "init": "A tracker's repository to begin with: tracker, tests, study, gate, CI file.",
     "scenarios": "What ships, one line each; or one scenario in full.",
     "run": "One or a few trials of a scenario: a table and an HTML replay.",
     "picture": "One frame of a trial, or its error over time, as SVG or PNG.",

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli import settings
+from pmbm.cli.settings import configured
 from pmbm.wording import counted, duration
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ _PILOT = 10
 
 
 @click.command()
-@click.argument("study_name", metavar="STUDY.toml|SCENARIO")
+@click.argument("study_name", metavar="STUDY.toml|SCENARIO|MODULE:SOURCE")
 @click.option(
     "--against",
     metavar="GITREF|TRACKER",
@@ -31,6 +33,7 @@ _PILOT = 10
     "worktree), a shipped tracker, or MODULE:FACTORY.  [default: the stored baseline]",
 )
 @click.option("--tracker", metavar="NAME", help="The candidate.  [default: the study's first]")
+@settings.option
 @click.option("--metric", metavar="NAME", help="What is gated.  [default: the study's, or ospa]")
 @click.option("--margin", type=float, help="Tolerated loss, in the metric's unit.")
 @click.option("--relative-margin", type=float, help="Tolerated loss, as a share.")
@@ -187,6 +190,9 @@ def _task(name: str, baseline: Path | None, jobs: int, options: dict[str, Any]) 
             field="--tracker",
             hint=nearest_hint(candidate, study.trackers, "tracker"),
         )
+    changed = given.get("settings", ())
+    if changed:
+        study = _with_settings(study, candidate, changed)
     metric = gated_metric(wanted.pop("metric"), wanted.pop("bounds", None))
     try:
         rules = Rules(**wanted)
@@ -209,7 +215,8 @@ def _task(name: str, baseline: Path | None, jobs: int, options: dict[str, Any]) 
             for key in _SAID_AGAIN
             if key in given
             for word in (f"--{key.replace('_', '-')}", str(given[key]))
-        ),
+        )
+        + tuple(word for one in changed for word in ("--set", one)),
     )
 
 
@@ -234,6 +241,19 @@ def _study(name: str, given: Mapping[str, Any]) -> Study:
     tracker = given.get("tracker", "pmbm")
     cell = Cell(name, {}, resolve(name, {}), {tracker: ConfiguredTracker(tracker)})
     return Study(name=name, cells=(cell,), trials=1, seed=given.get("seed", 0))
+
+
+def _with_settings(study: Study, candidate: str, given: tuple[str, ...]) -> Study:
+    """The study with further parameters of one tracker."""
+    from pmbm.study import ConfiguredTracker
+
+    cells = []
+    for cell in study.cells:
+        known = cell.trackers[candidate]
+        more = dict(known.parameters) | dict(configured(known.factory, given).parameters)
+        changed = ConfiguredTracker(known.factory, tuple(more.items()))
+        cells.append(replace(cell, trackers={**cell.trackers, candidate: changed}))
+    return replace(study, cells=tuple(cells))
 
 
 def _compare(task: _Task, stack: ExitStack, against: str | None) -> GateReport:

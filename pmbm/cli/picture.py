@@ -63,15 +63,14 @@ def command(
       pmbm picture occluded_birth --kind hidden --out docs/hidden.svg
       pmbm picture crossing --kind errors --tracker pmbm --tracker waymo
     """
+    from pmbm.cli.sources import resolve
     from pmbm.errors import InputError
     from pmbm.reports.figures import save
     from pmbm.reports.replays import trial_replay
-    from pmbm.sim import load_scenario
 
     if out is not None and out.suffix.lower() not in (".svg", ".png"):
         raise InputError("unknown format", field="--out", expected=".svg or .png", got=out.name)
-    source = load_scenario(scenario)
-    source = source if level is None else source.at(level)
+    source = resolve(scenario, {} if level is None else {"level": level})
     replay, _ = trial_replay(
         source, {name: name for name in trackers}, seed, 0, with_maps=kind == "hidden"
     )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli import settings
 from pmbm.wording import counted
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ HEADLINE = (
 
 
 @click.command()
-@click.argument("scenarios", nargs=-1, required=True, metavar="NAME|FILE.toml...")
+@click.argument("scenarios", nargs=-1, required=True, metavar="NAME|FILE.toml|MODULE:SOURCE...")
 @click.option("--trials", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option(
@@ -49,6 +50,7 @@ HEADLINE = (
     metavar="NAME|MODULE:FACTORY",
     help="A tracker to run; give it several times to compare. The first is compared with the rest.",
 )
+@settings.option
 @click.option("--level", help="A level of the scenario's swept parameter, instead of its own.")
 @click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
 @click.option(
@@ -79,6 +81,7 @@ def command(
     trials: int,
     seed: int,
     trackers: tuple[str, ...],
+    settings: tuple[str, ...],
     level: str | None,
     json_file: str | None,
     out: Path,
@@ -96,13 +99,15 @@ def command(
       pmbm run truck_occlusion
       pmbm run crossing --trials 20 --tracker pmbm --tracker argoverse --json -
       pmbm run my_scene.toml --tracker my_package.tracking:MyTracker
+      pmbm run my_package.drives:Drives --tracker pmbm --set sensor.clutter_rate=2
       pmbm run truck_occlusion --explain 9
     """
+    from pmbm.cli.settings import configured, shown_name
+    from pmbm.cli.sources import resolve
     from pmbm.durable import check_writable, replace_text
     from pmbm.errors import InputError
     from pmbm.reports.render import run_page
     from pmbm.reports.replays import problems
-    from pmbm.sim import load_scenario
     from pmbm.study import summarise
     from pmbm.tracking import tracker_factory
 
@@ -113,12 +118,16 @@ def command(
             expected=f"0 to {trials - 1}",
             got=replay_trial,
         )
-    factories = {name: tracker_factory(name) for name in trackers}
+    first, *others = trackers
+    named: dict[str, Any] = {}
+    if settings:
+        named[shown_name(first, settings)] = configured(first, settings)
     # Workers look the names up themselves, where pickled modules might be out of their reach.
-    named = {name: name for name in trackers}
-    sources = [load_scenario(name) for name in scenarios]
+    named |= {name: name for name in (others if settings else trackers)}
+    factories = {k: tracker_factory(v) if isinstance(v, str) else v for k, v in named.items()}
+    sources: list[Any] = [resolve(name, {}) for name in scenarios]
     if level is not None:
-        sources = [source.at(_level(source, level)) for source in sources]
+        sources = [_at(source, level) for source in sources]
     # Found out before any trial, not after all.
     target = out / f"{page or sources[0].name}.html"
     check_writable(target)
@@ -130,7 +139,7 @@ def command(
     if explain is not None:
         from pmbm.cli.story import story_of
 
-        name = trackers[0]
+        name = next(iter(named))
         stories = [
             story_of(source, name, factories[name], seed, replay_trial, explain)
             for source in sources
@@ -168,14 +177,18 @@ def _arguments() -> Sequence[str]:
     return sys.argv[1:]
 
 
-def _level(scenario: Any, text: str) -> Any:
-    """The level that reads like this; the text itself, for the scenario to refuse, if none does."""
-    return {str(level): level for level in scenario.levels}.get(text, text)
+def _at(source: Any, text: str) -> Any:
+    """The source at the level that reads like this; a scenario refuses a text that none does."""
+    from pmbm.errors import InputError
+
+    if not hasattr(source, "at"):
+        raise InputError(f"source '{source.name}' has no levels", field="--level", got=text)
+    return source.at({str(level): level for level in source.levels}.get(text, text))
 
 
 def _run(
     source: Source,
-    trackers: Mapping[str, str],
+    trackers: Mapping[str, Any],
     seed: int,
     trials: int,
     jobs: int,
@@ -216,7 +229,7 @@ def _figures(name: str, trials: int, seed: int, summary: Summary) -> dict[str, A
 
 def _section(
     source: Any,
-    trackers: Mapping[str, str],
+    trackers: Mapping[str, Any],
     seed: int,
     trial: int,
     summary: Summary,
@@ -229,7 +242,7 @@ def _section(
     replay, _ = trial_replay(source, trackers, seed, trial, with_maps=with_maps)
     return Section(
         name=source.name,
-        stresses=source.stresses,
+        stresses=getattr(source, "stresses", ""),
         summary=summary,
         replay=replay,
         provenance=replay.recording.provenance,

@@ -11,14 +11,24 @@ if TYPE_CHECKING:
 
 
 def resolve(name: str, overrides: Mapping[str, Any]) -> Source:
-    """The scenario of that name or file, with keys of its document overridden.
+    """The scenario of that name or file, with keys of its document overridden; or the source behind
+    MODULE:SOURCE, which has none.
 
     overrides : dotted keys of the scenario's file ("detector.clutter_rate") and their values; and
         "level", a level of what the scenario itself sweeps.
     Raises InputError for an unknown scenario, key, level or value.
     """
+    from pmbm.errors import InputError
     from pmbm.sim import Scenario, load_scenario
+    from pmbm.study import NamedSource, is_named_source
 
+    if is_named_source(name):
+        if overrides:
+            raise InputError(
+                f"source '{name}' has no file whose keys could be swept",
+                field=f"sweep: {next(iter(overrides))}",
+            )
+        return NamedSource(name)
     scenario = load_scenario(name)
     keys = {key: value for key, value in overrides.items() if key != "level"}
     if keys:

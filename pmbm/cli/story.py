@@ -24,9 +24,10 @@ def story_of(
     from pmbm.filter import PMBMTracker
     from pmbm.filter.explain.story import tell
     from pmbm.seeding import seeded, tracker_seed
+    from pmbm.study import recorded
     from pmbm.tracking import make_tracker, run
 
-    recording = source.record(seed, trial)
+    recording = recorded(source, seed, trial)
     own = tracker_seed(seed, trial)
     with seeded(own):
         made = make_tracker(factory, recording.site, own)

@@ -15,7 +15,7 @@ from pmbm.errors import InputError, nearest_hint
 from pmbm.metrics import Evaluation, combine
 from pmbm.metrics.catalogue import definition
 from pmbm.seeding import tracker_seed
-from pmbm.study import ConfiguredTracker, Estimate, Source, estimate
+from pmbm.study import ConfiguredTracker, Estimate, Source, estimate, recorded
 from pmbm.study.configured import nested
 from pmbm.study.summary import paired
 from pmbm.study.trial import score_tracker
@@ -69,7 +69,7 @@ class Simulated:
         """
         names = " ".join(source.name for source in sources)
         maximise = _more_is_better(metric, definition(metric).direction)
-        recordings = tuple(s.record(seed, trial) for s in sources for trial in range(count))
+        recordings = tuple(recorded(s, seed, trial) for s in sources for trial in range(count))
         return cls(
             sources=tuple(sources),
             recordings=recordings,

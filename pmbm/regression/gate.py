@@ -26,7 +26,8 @@ from pmbm.regression.verdicts import (
 )
 from pmbm.seeding import tracker_seed
 from pmbm.study.parallel import process_pool
-from pmbm.study.trial import Source, score_tracker
+from pmbm.study.sources import Source, recorded
+from pmbm.study.trial import score_tracker
 from pmbm.tracking import TrackerFactory
 
 AnyTracker = TrackerFactory | str
@@ -270,7 +271,7 @@ class _Ahead:
 
 
 def _run_pair(entry: GateEntry, seed: int, trial: int, metric: GatedMetric) -> _Pair:
-    recording = entry.source.record(seed, trial)
+    recording = recorded(entry.source, seed, trial)
     digest = recording.digest()
     own = tracker_seed(seed, trial)
     baseline = None

@@ -19,6 +19,7 @@ WITHOUT_EFFECT = (
     "tune.py",
     "tune",
     "reports",
+    "example",
     "sim",
 )
 """Parts of pmbm that only run, judge or show trials; and pmbm.sim, which is hashed by itself."""

@@ -9,7 +9,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from pmbm.study.trial import Metrics, Source, TrialResult, run_trial
+from pmbm.study.sources import Source
+from pmbm.study.trial import Metrics, TrialResult, run_trial
 from pmbm.tracking import TrackerFactory
 
 Progress = Callable[[int, int], None]

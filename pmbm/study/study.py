@@ -14,7 +14,8 @@ from pmbm.errors import InputError
 from pmbm.metrics.catalogue import definition
 from pmbm.study.code import code_version
 from pmbm.study.configured import ConfiguredTracker
-from pmbm.study.trial import Source, TrialResult, run_trial
+from pmbm.study.sources import NamedSource, Source
+from pmbm.study.trial import TrialResult, run_trial
 from pmbm.types import digest_of
 from pmbm.wording import counted
 
@@ -112,6 +113,11 @@ class Study:
             for cell in self.cells
             for tracker in cell.trackers.values()
             if ":" in tracker.factory
+        }
+        modules |= {
+            cell.source.place.partition(":")[0]
+            for cell in self.cells
+            if isinstance(cell.source, NamedSource)
         }
         return {
             "cells": [

@@ -6,7 +6,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -14,23 +14,9 @@ from pmbm.errors import InputError
 from pmbm.metrics import evaluate
 from pmbm.seeding import seeded, tracker_seed
 from pmbm.study.configured import factory_of, follow
+from pmbm.study.sources import Source, recorded
 from pmbm.tracking import TrackerFactory
 from pmbm.types import FloatArray, Recording, TrackSequence
-
-
-@runtime_checkable
-class Source(Protocol):
-    """Where recordings come from: a simulated scene or a dataset's log, alike.
-
-    `record` is a pure function: equal arguments give recordings with equal digests.  Sources
-    travel to other processes, so they pickle.
-    """
-
-    @property
-    def name(self) -> str: ...
-
-    def record(self, seed: int, trial: int = 0) -> Recording: ...
-
 
 Metrics = Callable[[Recording, TrackSequence], Mapping[str, float | None]]
 """Scores of one run by name; None where a score is undefined (MOTA without truth)."""
@@ -124,7 +110,7 @@ def run_trial(
     other that runs; one that raises loses its own scores (see `TrialResult.errors`) and nobody
     else's.  Raises InputError for an unknown tracker or metric.
     """
-    recording = source.record(seed, trial)
+    recording = recorded(source, seed, trial)
     own = tracker_seed(seed, trial)
     scores: dict[str, dict[str, float | None]] = {}
     times, errors = {}, {}

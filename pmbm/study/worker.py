@@ -16,9 +16,10 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from pmbm.study.configured import ConfiguredTracker
+from pmbm.study.sources import Source
 from pmbm.study.store import StoreRow
 from pmbm.study.study import Study, canonical
-from pmbm.study.trial import Source, run_trial
+from pmbm.study.trial import run_trial
 
 _LONGEST_MESSAGE = 500
 

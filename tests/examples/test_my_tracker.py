@@ -2,12 +2,13 @@
 
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from pmbm.cli import main
 
 EXAMPLE = Path(__file__).parent / "my_tracker"
 
@@ -21,7 +22,7 @@ def git(folder, *arguments):
 def repository(tmp_path_factory):
     """The example as a repository with a branch main and a change on top."""
     folder = tmp_path_factory.mktemp("my_tracker") / "repository"
-    shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    init(folder)
     git(folder, "init", "-q", "-b", "main")
     git(folder, "add", ".")
     git(folder, "commit", "-q", "-m", "the tracker")
@@ -29,6 +30,40 @@ def repository(tmp_path_factory):
     file = folder / "nearest.py"
     file.write_text(file.read_text().replace("PATIENCE = 1.0", "PATIENCE = 0.9"))
     return folder
+
+
+def init(folder):
+    with pytest.raises(SystemExit) as stop:
+        main(["init", str(folder)])
+    assert stop.value.code == 0
+
+
+def test_init_writes_a_repository_and_touches_nothing(tmp_path, capsys):
+    init(tmp_path / "mine")
+    written = {str(f.relative_to(tmp_path / "mine")) for f in (tmp_path / "mine").rglob("*.*")}
+    assert written >= {
+        "nearest.py",
+        "gate.toml",
+        "study.toml",
+        "README.md",
+        "tests/parking.toml",
+        "tests/test_nearest.py",
+        ".github/workflows/tracking.yml",
+        ".gitignore",
+    }
+    assert "ci.yml" not in written
+    assert "sqlite" in (tmp_path / "mine" / ".gitignore").read_text()
+    (tmp_path / "mine" / "nearest.py").write_text("mine alone\n")
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stop:
+        main(["init", str(tmp_path / "mine")])
+    assert stop.value.code == 2
+    assert "it is there already" in capsys.readouterr().err
+    assert (tmp_path / "mine" / "nearest.py").read_text() == "mine alone\n"
+
+
+def test_the_suite_of_a_new_repository_passes(repository):
+    assert "3 passed" in run(repository, "pytest", "-q", "-p", "no:cacheprovider")
 
 
 def commands():

@@ -1,0 +1,50 @@
+"""A tracker's parameters on the command line: `--set reduction.gate=9`."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmbm.errors import InputError
+
+if TYPE_CHECKING:
+    from pmbm.study import ConfiguredTracker
+
+option = click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="A parameter of the first tracker, such as gate=4 or sensor.clutter_rate=2.",
+)
+
+
+def configured(name: str, settings: Sequence[str]) -> ConfiguredTracker:
+    """The tracker of that name with these parameters.
+
+    Raises InputError for an unknown tracker or parameter, and for what is not KEY=VALUE.
+    """
+    from pmbm.study import ConfiguredTracker
+
+    tracker = ConfiguredTracker(name, tuple(_parsed(one) for one in settings))
+    tracker.bound()
+    return tracker
+
+
+def shown_name(name: str, settings: Sequence[str]) -> str:
+    """What a tracker with parameters is called in tables."""
+    return f"{name} ({', '.join(settings)})" if settings else name
+
+
+def _parsed(setting: str) -> tuple[str, Any]:
+    key, equals, text = (part.strip() for part in setting.partition("="))
+    if not key or not equals:
+        raise InputError("not a parameter", field="--set", expected="KEY=VALUE", got=setting)
+    try:
+        return key, tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        # A name without quotes, as the shell leaves it.
+        return key, text
