@@ -32,7 +32,7 @@ $(STAMP): pyproject.toml Makefile $(NATIVE)
 	fi; \
 	[ -x $(BIN)/python ] || $$python -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[test,lint,tune,waymo,argoverse2,dask]'
+	$(BIN)/python -m pip install --quiet --editable '.[test,lint,tune,waymo,argoverse2,tables,dask]'
 	@$(BIN)/python -c 'from pmbm.kernels import native; native or print("Nothing was compiled: the plain filter works, and takes ten times as long. pip install -v -e . says why.")'
 	@touch $@
 

@@ -22,7 +22,24 @@ class Label(enum.IntEnum):
         """Height in metres where a source gives none."""
         return _DEFAULT_HEIGHT[self]
 
+    @property
+    def default_size(self) -> tuple[float, float, float]:
+        """Length, width and height in metres where a source gives none."""
+        return (*_DEFAULT_BASE[self], self.default_height)
 
+
+OBSERVABLE_SHARE: Final = 0.1
+"""An object less visible than this share counts as hidden."""
+_DEFAULT_BASE: Final = {
+    Label.CAR: (5.0, 2.0),
+    Label.TRUCK: (14.0, 2.6),
+    Label.BUS: (12.0, 2.55),
+    Label.MOTORCYCLIST: (2.2, 0.8),
+    Label.CYCLIST: (1.8, 0.6),
+    Label.PEDESTRIAN: (0.6, 0.6),
+    Label.OTHER: (5.0, 2.0),
+}
+"""Length and width, m."""
 _DEFAULT_HEIGHT: Final = {
     Label.CAR: 1.6,
     Label.TRUCK: 3.5,

@@ -19,7 +19,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any, Final, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +30,11 @@ from pmbm.geometry import normal_density, normal_in_polygon
 from pmbm.labels import Label
 from pmbm.validation import Checker, frozen
 from pmbm.wording import counted
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pmbm.tables.reading import Parts
 
 __all__ = [
     "ABSENT",
@@ -65,7 +70,7 @@ _OF_THE_SENSOR = ("sensor_pose", "sensor_velocity")
 """Arrays that have no row for each detection."""
 
 _Table = TypeVar("_Table", bound="Detections | GroundTruth | GaussianMixture | Tracks")
-_Frame = TypeVar("_Frame", bound="Detections | GroundTruth")
+_Frame = TypeVar("_Frame", bound="Detections | GroundTruth | Tracks")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -638,6 +643,71 @@ class Recording:
         values["observable_by"] = dict(self.observable_by)
         return _make_recording, (values,)
 
+    def to_tables(self) -> dict[str, pd.DataFrame]:
+        """Truth, detections and poses as tables, one row a box; docs/tables.md names the columns.
+
+        Names of objects that are in no frame are left out.
+        Raises InputError where some deliveries have raw scores and others have not, and where one
+        has a velocity of its sensor and no radial ones.
+        """
+        import pandas as pd
+
+        from pmbm.tables.writing import recording_columns
+
+        found = recording_columns(self)
+        return {what: pd.DataFrame(columns) for what, columns in found.items()}
+
+    @classmethod
+    def from_tables(
+        cls,
+        tables: Mapping[str, Any],
+        *,
+        name: str = "table",
+        site: Site | None = None,
+        frame: Literal["world", "ego"] = "world",
+        classes: Mapping[str, Label | None] | None = None,
+        rate: float = 10.0,
+        provenance: Mapping[str, Any] | None = None,
+    ) -> Recording:
+        """The recording of the tables `truth`, `detections` and `poses`, any of which may be
+        missing: what `to_tables` gives, or a user's own.
+
+        tables : DataFrames.  frame : that boxes are given in; "ego" needs poses.
+        classes : the tables' own names -> labels, None for those left out.
+        rate : frames a second, where no table has times.
+
+        Raises InputError with table, column and row.
+        """
+        from pmbm.tables.reading import cells_of, parts
+
+        found = parts(cells_of(tables), frame=frame, classes=classes, rate=rate)
+        return cls.from_parts(found, name=name, site=site or Site(), provenance=provenance or {})
+
+    @classmethod
+    def from_parts(
+        cls, parts: Parts, *, name: str, site: Site, provenance: Mapping[str, Any]
+    ) -> Recording:
+        """The recording of what was read of its tables, see `pmbm.tables`."""
+        return cls(
+            name=name,
+            site=site,
+            truth=frames_of(GroundTruth, parts.clock.time.tolist(), parts.truth_count, parts.truth),
+            detections=frames_of(
+                Detections,
+                parts.delivery_time.tolist(),
+                parts.detection_count,
+                parts.detections,
+                parts.delivery_pose,
+                parts.of_sensor,
+            ),
+            frame=parts.frame,
+            stamp=parts.stamp,
+            origin=None if parts.origin is None else tuple(parts.origin),
+            object_name=parts.object_name,
+            provenance=provenance,
+            observable_by=parts.observable_by,
+        )
+
     def truth_digest(self) -> str:
         """A hash of the site, the stamps and the truth: equal bits, equal hash."""
         return digest_of(
@@ -749,17 +819,35 @@ def frames_of(
     count: IntArray,
     table: Mapping[str, NDArray[Any]],
     sensor_pose: FloatArray | None = None,
+    each: Mapping[str, Sequence[Any]] | None = None,
     **constant: Any,
 ) -> tuple[_Frame, ...]:
-    """The values of many frames from their `checked_rows`; `constant` are the same in all."""
-    absent = {f.name: None if f.default is MISSING else f.default for f in fields(kind)}
+    """The values of many frames from their `checked_rows`.
+
+    constant : fields that are the same in all.  each : others, by frame.
+    """
+    columns: dict[str, list[Any]] = {}
     end = np.cumsum(count).tolist()
-    poses = None if sensor_pose is None else frozen(np.array(sensor_pose, np.float64))
+    spans = list(zip([0, *end], end, strict=False))
+    for f in fields(kind):
+        if f.name in table:
+            # Slices of what is read-only are so too, and cost less than to be made so.
+            values = table[f.name].view()
+            values.flags.writeable = False
+            columns[f.name] = [values[start:stop] for start, stop in spans]
+        else:
+            otherwise = None if f.default is MISSING else f.default
+            columns[f.name] = [constant.get(f.name, otherwise)] * len(spans)
+    columns |= {name: list(values) for name, values in (each or {}).items()}
+    columns["time"] = [float(at) for at in time]
+    if sensor_pose is not None:
+        columns["sensor_pose"] = list(frozen(np.array(sensor_pose, np.float64)))
+    names = tuple(columns)
     found = []
-    for index, (at, start, stop) in enumerate(zip(time, [0, *end], end, strict=False)):
-        rows = {name: values[start:stop] for name, values in table.items()}
-        pose = {} if poses is None else {"sensor_pose": poses[index]}
-        found.append(unchecked(kind, **{**absent, **constant, "time": float(at), **rows, **pose}))
+    for contents in zip(*columns.values(), strict=True):
+        value = object.__new__(kind)
+        value.__dict__.update(zip(names, contents, strict=True))
+        found.append(value)
     return tuple(found)
 
 

@@ -22,18 +22,6 @@ Pose = Annotated[list[float], Field(min_length=3, max_length=3)]
 LabelName = Literal["car", "truck", "bus", "motorcyclist", "cyclist", "pedestrian", "other"]
 
 
-_USUAL_SIZE = {
-    Label.CAR: (5.0, 2.0),
-    Label.TRUCK: (14.0, 2.6),
-    Label.BUS: (12.0, 2.55),
-    Label.MOTORCYCLIST: (2.2, 0.8),
-    Label.CYCLIST: (1.8, 0.6),
-    Label.PEDESTRIAN: (0.6, 0.6),
-    Label.OTHER: (5.0, 2.0),
-}
-"""Length and width, m."""
-
-
 class Form(BaseModel):
     """A table of a scenario file: unknown keys, coerced types and non-finite numbers are errors."""
 
@@ -98,12 +86,8 @@ class Body(Form):
 
     @property
     def size(self) -> tuple[float, float, float]:
-        length, width = _USUAL_SIZE[self.kind]
-        return (
-            self.length or length,
-            self.width or width,
-            self.height or self.kind.default_height,
-        )
+        length, width, height = self.kind.default_size
+        return self.length or length, self.width or width, self.height or height
 
 
 class RoadJitter(Form):

@@ -23,6 +23,7 @@ COMMANDS = {
     "report": "A study as one HTML file: verdicts, curves, worst trials to replay.",
     "versus": "One tracker of a study against each of the others: better or worse, and where.",
     "gate": "Did the tracker get worse? Exit code 0: no, 1: yes, 3: undecided.",
+    "export": "Recordings of a scenario or dataset as tables that other programs read.",
     "track": "A tracker over a real dataset, output in that dataset's format.",
     "metrics": "Which metric answers which question.",
     "evaluate": "Any tracker's output, by the rules of the dataset it was made on.",

@@ -11,13 +11,14 @@ if TYPE_CHECKING:
 
 
 def resolve(name: str, overrides: Mapping[str, Any]) -> Source:
-    """The scenario of that name or file, with keys of its document overridden; or the source behind
-    MODULE:SOURCE, which has none.
+    """The scenario of that name or file, with keys of its document overridden; the sequences of the
+    dataset that a file names, or the source behind MODULE:SOURCE, which have none.
 
     overrides : dotted keys of the scenario's file ("detector.clutter_rate") and their values; and
         "level", a level of what the scenario itself sweeps.
     Raises InputError for an unknown scenario, key, level or value.
     """
+    from pmbm.datasets.source import named_dataset
     from pmbm.errors import InputError
     from pmbm.sim import Scenario, load_scenario
     from pmbm.study import NamedSource, is_named_source
@@ -29,6 +30,16 @@ def resolve(name: str, overrides: Mapping[str, Any]) -> Source:
                 field=f"sweep: {next(iter(overrides))}",
             )
         return NamedSource(name)
+    logs = named_dataset(name)
+    if logs is not None:
+        if overrides:
+            raise InputError(
+                "recorded detections can neither be swept nor held at a level",
+                file=name,
+                field=f"sweep: {next(iter(overrides))}",
+                hint='a scenario of [scene] kind = "recorded" can: it has a detector model',
+            )
+        return logs
     scenario = load_scenario(name)
     keys = {key: value for key, value in overrides.items() if key != "level"}
     if keys:

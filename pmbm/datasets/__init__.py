@@ -20,6 +20,7 @@ DATASETS: Final = {
     "argoverse2": "pmbm.datasets.argoverse2:Argoverse2",
     "kitti": "pmbm.datasets.kitti:Kitti",
     "nuscenes": "pmbm.datasets.nuscenes:NuScenes",
+    "table": "pmbm.datasets.table:Table",
     "waymo": "pmbm.datasets.waymo:Waymo",
 }
 """Name -> module:class, imported when it is opened."""

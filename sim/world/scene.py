@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmbm.errors import InputError
 from pmbm.geometry import corners, visible_fractions, wrap_angle
+from pmbm.labels import OBSERVABLE_SHARE
 from pmbm.types import (
     BoolArray,
     FloatArray,
@@ -24,9 +25,6 @@ from pmbm.types import (
 )
 from pmbm.validation import Checker, frozen
 from pmbm.wording import counted
-
-OBSERVABLE_SHARE = 0.1
-"""An object less visible than this share counts as hidden."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -184,4 +184,28 @@ OTHER_PLANTS = [
         by="tests/unit/test_metrics.py::test_every_value_travels_and_combines",
         tests=("tests/unit/test_metrics.py",),
     ),
+    Plant(
+        "velocities over a gap",
+        "pmbm/tables/boxes.py",
+        "joined = (np.diff(who) == 0) & (np.diff(when) == 1)",
+        "joined = np.diff(who) == 0",
+        by="tests/unit/test_tables.py::TestByHand::test_an_absent_frame_ends_what_is_differenced",
+        tests=("tests/unit/test_tables.py",),
+    ),
+    Plant(
+        "late deliveries of a table sorted",
+        "pmbm/tables/reading.py",
+        "    rows = np.flatnonzero(delivered)\n",
+        "    rows = np.flatnonzero(delivered)\n    rows = rows[np.argsort(frame[rows])]\n",
+        by="tests/unit/test_tables.py::TestByHand::test_a_late_delivery_stands_where_it_arrived",
+        tests=("tests/unit/test_tables.py::TestByHand",),
+    ),
+    Plant(
+        "headings of the ego's frame left as they are",
+        "pmbm/tables/axes.py",
+        '"yaw": wrap_angle(np.arctan2(y, x))',
+        '"yaw": table["yaw"] + 0.0 * x',
+        by="tests/unit/test_tables.py::TestByHand::test_boxes_in_the_frame_of_the_ego",
+        tests=("tests/unit/test_tables.py::TestByHand",),
+    ),
 ]

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 LAYERS = [
     {"pmbm.arrays", "pmbm.errors", "pmbm.durable", "pmbm.intervals", "pmbm.labels"}
     | {"pmbm.validation", "pmbm.types", "pmbm.geometry", "pmbm.score", "pmbm.provenance"}
-    | {"pmbm.kernels", "pmbm.seeding", "pmbm.wording"},
+    | {"pmbm.kernels", "pmbm.seeding", "pmbm.tables", "pmbm.wording"},
     {"pmbm.assignment", "pmbm.filter", "pmbm.baselines", "pmbm.metrics", "pmbm.datasets"}
     | {"pmbm.fitting"},
     {"pmbm.named_modules", "pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"},

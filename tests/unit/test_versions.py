@@ -16,8 +16,8 @@ PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text
 OF_TRIALS = ("pmbm.filter", "pmbm.assignment", "pmbm.baselines", "pmbm.metrics", "pmbm.geometry")
 OF_TRIALS += ("pmbm.tracking", "pmbm.score", "pmbm.seeding", "pmbm.datasets", "pmbm.sim")
 """What a trial's numbers come from."""
-WITHOUT_NUMBERS = {"pydantic", "pydantic_core", "hypothesis", "pyarrow", "google"}
-"""Third parties that only check or read values there."""
+WITHOUT_NUMBERS = {"pydantic", "pydantic_core", "hypothesis", "pyarrow", "google", "pandas"}
+"""Third parties that only check, read or show values there."""
 DISTRIBUTION = {"highway_env": "highway-env"}
 
 

@@ -25,12 +25,11 @@ from pmbm.metrics.benchmarks.rules import (
     benchmark_metrics,
     or_undefined,
 )
-from pmbm.metrics.benchmarks.trackeval import similarity_rule
+from pmbm.metrics.benchmarks.trackeval import BEV, IOU3D, similarity_rule
 from pmbm.metrics.core.formulas import NO_TRUTH, Total
 from pmbm.metrics.core.matching import most_then_nearest
 from pmbm.metrics.core.result import Counts, Evaluation, Joined, Undefined
 from pmbm.metrics.core.scene import ScoredScene, make_scene, pair_overlap
-from pmbm.metrics.families.hota import distance_similarity
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -367,14 +366,6 @@ def _devkit(sequence: ComparedSequence, _kind: str) -> Evaluation:
     return evaluate_kitti([compared], 0.25)
 
 
-def _iou3d(scene: ScoredScene, _: ComparedSequence) -> FloatArray:
-    return pair_overlap(scene)
-
-
-def _near_from_above(scene: ScoredScene, _: ComparedSequence) -> FloatArray:
-    return distance_similarity(scene.pairs.distance)
-
-
 def _iou2d(scene: ScoredScene, sequence: ComparedSequence) -> FloatArray:
     assert sequence.truth_image is not None
     assert sequence.tracks_image is not None
@@ -386,12 +377,9 @@ def _iou2d(scene: ScoredScene, sequence: ComparedSequence) -> FloatArray:
     return np.divide(shared, both, out=np.zeros_like(shared), where=both > 0)
 
 
-_BARELY_NEARER: Final = 0.5 + 1e-12
-"""Strictly within half of 4 m, beyond the rounding that matching forgives."""
-
 RULES: Final = {
-    "iou3d": similarity_rule(_iou3d, 0.25, "3D IoU of at least .25"),
-    "bev": similarity_rule(_near_from_above, _BARELY_NEARER, "centres within 2 m seen from above"),
+    "iou3d": IOU3D,
+    "bev": BEV,
     "iou2d": similarity_rule(_iou2d, 0.5, "IoU of at least .5 in the image", in_image=True),
     "devkit": ScoringRule(
         _devkit,

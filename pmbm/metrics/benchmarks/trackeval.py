@@ -24,9 +24,14 @@ from pmbm.metrics.core.clear_matching import Matches, matches_of
 from pmbm.metrics.core.formulas import F1, NO_MATCH, Ratio, Total
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.result import Counts, Evaluation, Formula, Undefined
-from pmbm.metrics.core.scene import ScoredScene, make_scene
+from pmbm.metrics.core.scene import ScoredScene, make_scene, pair_overlap
 from pmbm.metrics.families.clear import MOTA
-from pmbm.metrics.families.hota import HotaCounts, OverThresholds, hota_counts
+from pmbm.metrics.families.hota import (
+    HotaCounts,
+    OverThresholds,
+    distance_similarity,
+    hota_counts,
+)
 from pmbm.metrics.families.identity import IdentityCounts, identity_counts
 
 _EPS: Final = float(np.finfo(np.float64).eps)
@@ -376,3 +381,19 @@ _SHOWN: Final = {
     "AssA": "assa",
     "GT": "truths",
 }
+
+
+def _overlap(scene: ScoredScene, _: ComparedSequence) -> FloatArray:
+    return pair_overlap(scene)
+
+
+def _near_from_above(scene: ScoredScene, _: ComparedSequence) -> FloatArray:
+    return distance_similarity(scene.pairs.distance)
+
+
+_BARELY_NEARER: Final = 0.5 + 1e-12
+"""Strictly within half of 4 m, beyond the rounding that matching forgives."""
+
+IOU3D: Final = similarity_rule(_overlap, 0.25, "3D IoU of at least .25")
+BEV: Final = similarity_rule(_near_from_above, _BARELY_NEARER, "centres within 2 m seen from above")
+"""Rules of more than one dataset."""
