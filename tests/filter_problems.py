@@ -54,6 +54,8 @@ def bernoullis(track, existence, mean, cov, *, box=None, history=None):
         cov=np.asarray(cov, np.float64).reshape(n, 4, 4),
         box=np.ones((n, 5)) if box is None else box,
         label=np.zeros(n, np.int8),
+        newest=np.zeros(n, np.int64),
+        shown=np.zeros(n, bool),
         history=np.zeros((n, 0), np.int32) if history is None else history,
         marks=Marks.neutral(n),
     )

@@ -21,6 +21,7 @@ from pmbm.filter.hypotheses import branching, clusters
 from pmbm.filter.hypotheses.weights import log_of
 from pmbm.filter.identity.recycling import MOST_OF_ONE
 from pmbm.filter.models import occlusion, rays
+from pmbm.filter.models.birth import BroadBirth
 from pmbm.filter.models.sensor import LEAST_VISIBLE_TO_BE_SEEN
 from pmbm.filter.prediction import predict_marks
 from pmbm.filter.reduction import ALIKE, AS_HEAVY, FEW, ReductionStats, with_more_undetected
@@ -50,9 +51,10 @@ def advance(
 ) -> tuple[Density, ReductionStats, Mapping[str, float]]:
     """The density after a frame, what the reductions removed, and what each part took, s."""
     local, scan, transition = density.local, frame.scan, frame.transition
-    undetected, dropped = undetected_in(model, density.undetected, frame)
+    partial = frame.partial and not model.birth.place_by_place
+    undetected, births, dropped = _undetected(model, density.undetected, frame, partial)
     aside = None
-    if frame.partial and not model.birth.place_by_place:
+    if partial:
         undetected, aside, denser = split_by_view(undetected, frame)
         scan = scan.with_denser_births(denser)
     marks = predict_marks(local.marks, transition)
@@ -68,6 +70,7 @@ def advance(
             undetected.cov,
             *((None, None, None) if recycled is None else recycled.columns()),
         ),
+        births,
         (
             local.track,
             local.existence,
@@ -75,6 +78,8 @@ def advance(
             local.cov,
             local.box,
             local.label,
+            local.newest,
+            local.shown,
             local.history,
             marks.source,
             frame.detection.of_tracks(marks),
@@ -116,6 +121,8 @@ def advance(
             limits.max_undetected,
             FEW,
             MOST_OF_ONE,
+            log_of(transition.survival),
+            estimation.STAY,
         ),
         (
             limits.max_hypotheses,
@@ -134,7 +141,7 @@ def advance(
         rays.SIN,
     )
     log_weight, mean, cov, recycled_columns = ppp
-    track, existence, mean_of, cov_of, box, label, history = columns
+    track, existence, mean_of, cov_of, box, label, newest, shown, history, source = columns
     after = Density(
         Mixture(
             log_weight,
@@ -149,8 +156,10 @@ def advance(
             cov_of,
             box,
             label,
+            newest,
+            shown,
             history,
-            _marks_after(marks, frame, *origin),
+            _marks_after(marks, frame, source, *origin),
         ),
         Globals(*table),
         track_id,
@@ -167,9 +176,25 @@ def advance(
     return after, counts, dict(zip(_PARTS, seconds, strict=True))
 
 
+def _undetected(
+    model: PMBMConfig, ppp: Mixture, frame: Frame, partial: bool
+) -> tuple[Mixture, tuple[FloatArray, FloatArray, FloatArray, bool] | tuple[()], float]:
+    """The undetected objects, the births that the kernel adds to them when it has predicted them,
+    and what was dropped; no births where they come predicted, as for a partial view.
+
+    How the broad births join the survivors, the kernel knows; any other model says it here.
+    """
+    if type(model.birth) is BroadBirth and not partial:
+        born = frame.births
+        return ppp, (born.log_weight, born.mean, born.cov, model.birth.merge_below > 0), 0.0
+    predicted, dropped = undetected_in(model, ppp, frame)
+    return predicted, (), dropped
+
+
 def _marks_after(
-    marks: Marks,
+    before: Marks,
     frame: Frame,
+    source: FloatArray,
     missed: int,
     detected: int,
     row: Index,
@@ -178,17 +203,24 @@ def _marks_after(
 ) -> Marks:
     """Marks of local hypotheses: first those missed, then those detected, then new ones.
 
-    row (missed + detected,) : of the predicted table.  measurement (detected + new,).
-    P_D (missed,) : of those missed.
+    source (n,K) : P(class) of each, after the scan.  row (missed + detected,) : of `before`.
+    measurement (detected + new,).  P_D (missed,) : of those missed.
     """
-    detection, scan = frame.detection, frame.scan
-    before = marks.take(row[missed:])
-    taken, first = measurement[:detected], measurement[detected:]
-    told = replace(before, source=scan.source_after(before.source, taken))
-    return Marks.joined(
-        detection.if_missed(marks.take(row[:missed]), P_D),
-        detection.if_detected(told, scan.confidence[taken]),
-        detection.first(scan.source_if_first(first), scan.confidence[first]),
+    detection, known = frame.detection, missed + detected
+    taken = frame.scan.confidence.take(measurement)
+    confidence, detectable = before.confidence.take(row, 0), before.detectable.take(row, 0)
+    parts = (
+        detection.if_missed(Marks(source[:missed], confidence[:missed], detectable[:missed]), P_D),
+        detection.if_detected(
+            Marks(source[missed:known], confidence[missed:], detectable[missed:]),
+            taken[:detected],
+        ),
+        detection.first(source[known:], taken[detected:]),
+    )
+    return Marks(
+        source,
+        np.concatenate([part.confidence for part in parts]),
+        np.concatenate([part.detectable for part in parts]),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmbm.kernels import twin
-from pmbm.types import ABSENT, FloatArray, GaussianMixture, unchecked
+from pmbm.types import ABSENT, BoolArray, FloatArray, GaussianMixture, IntArray, unchecked
 from pmbm.wording import counted
 
 Index = NDArray[np.intp]
@@ -151,12 +151,8 @@ class Mixture:
         return Mixture(np.zeros(0), np.zeros((0, STATE)), np.zeros((0, STATE, STATE)))
 
     def public(self) -> GaussianMixture:
-        return unchecked(
-            GaussianMixture,
-            log_weight=self.log_weight.copy(),
-            mean=self.mean.copy(),
-            cov=self.cov.copy(),
-        )
+        """The same to whom is not of the filter; the arrays become read-only."""
+        return unchecked(GaussianMixture, log_weight=self.log_weight, mean=self.mean, cov=self.cov)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -212,6 +208,9 @@ class Locals:
     mean (H,4), cov (H,4,4) : of [x, y, vx, vy] given that the object exists.
     box (H,5) : z, length, width, height, yaw of the last detection.
     label (H,) : int8, of the last detection.
+    newest (H,) : int64, which detection each took last, in the numbers that `detections_seen`
+        counts.
+    shown (H,) : bool, whether the last report showed its track as it has it, or as what became it.
     history (H,L) : int32, measurement taken at each of the last L steps, MISSED or BEFORE; L is
         the configuration's `history`, of which `IdInheritance` reads the last.
     marks : what the models of scores and of detection remember of each.
@@ -223,6 +222,8 @@ class Locals:
     cov: FloatArray
     box: FloatArray
     label: NDArray[np.int8]
+    newest: IntArray
+    shown: BoolArray
     history: NDArray[np.int32]
     marks: Marks
 
@@ -237,6 +238,8 @@ class Locals:
             self.cov.take(rows, axis=0),
             self.box.take(rows, axis=0),
             self.label.take(rows, axis=0),
+            self.newest.take(rows, axis=0),
+            self.shown.take(rows, axis=0),
             self.history.take(rows, axis=0),
             self.marks.take(rows),
         )
@@ -250,6 +253,8 @@ class Locals:
             np.concatenate([part.cov for part in parts]),
             np.concatenate([part.box for part in parts]),
             np.concatenate([part.label for part in parts]),
+            np.concatenate([part.newest for part in parts]),
+            np.concatenate([part.shown for part in parts]),
             np.concatenate([part.history for part in parts]),
             Marks.joined(*[part.marks for part in parts]),
         )
@@ -264,6 +269,8 @@ class Locals:
             np.zeros((0, STATE, STATE)),
             np.zeros((0, 5)),
             np.zeros(0, np.int8),
+            np.zeros(0, np.int64),
+            np.zeros(0, bool),
             np.zeros((0, history), np.int32),
             Marks.neutral(0, classes),
         )

@@ -11,13 +11,16 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pmbm.filter.density import Density, Index, probability_of_members, summed
+from pmbm.filter.density import Density, Index, Locals, probability_of_members, summed
 from pmbm.filter.models.view import View
 from pmbm.kernels import twin
-from pmbm.types import FloatArray
+from pmbm.types import BoolArray, FloatArray, IntArray
 
 ALIKE = 1e-9
 """Relative difference of masses below which rounding must not choose between them."""
+STAY = 2.0
+"""How many times likelier than what was reported last of a track something else must be to take its
+place.  Where two tracks may be exchanged, the scales tip with every detection."""
 _WHOLE = 1.5
 """A box this many times as large as another at its place is the whole of which that is a part."""
 
@@ -25,7 +28,9 @@ _WHOLE = 1.5
 @dataclass(frozen=True, eq=False, slots=True)
 class Marginals:
     """Per track: existence (T,), over all hypotheses; of_class (T,K), that of a source of each
-    class; and best (T,), the row of its most probable local hypothesis."""
+    class; and best (T,), the row of the most probable of its local hypotheses among those that took
+    last what the track most probably took last; what was reported last stays for `STAY` times its
+    probability."""
 
     existence: FloatArray
     of_class: FloatArray
@@ -36,6 +41,11 @@ class Marginals:
         class."""
         return np.minimum(self.of_class @ object_share, self.existence)
 
+    def shown_as(self, local: Locals) -> BoolArray:
+        """(H,) whether each local hypothesis has its track as `best` has it."""
+        shown: BoolArray = local.newest == local.newest[self.best][local.track]
+        return shown
+
 
 def in_view(density: Density, view: View) -> tuple[Marginals, FloatArray]:
     """The marginals of a density, and the probability (T,) that each track's likeliest state lies
@@ -44,6 +54,8 @@ def in_view(density: Density, view: View) -> tuple[Marginals, FloatArray]:
     existence, of_class, best, inside = _marginals(
         table.columns(),
         local.track,
+        local.newest,
+        local.shown,
         local.existence,
         local.marks.source,
         local.mean,
@@ -53,6 +65,7 @@ def in_view(density: Density, view: View) -> tuple[Marginals, FloatArray]:
         view.centre,
         view.half_angle,
         view.max_range,
+        STAY,
         ALIKE,
     )
     return Marginals(existence, of_class, best), inside
@@ -62,6 +75,8 @@ def in_view(density: Density, view: View) -> tuple[Marginals, FloatArray]:
 def _marginals(
     table: tuple[Index, FloatArray, Index, Index],
     track: Index,
+    newest: IntArray,
+    shown: BoolArray,
     existence: FloatArray,
     source: FloatArray,
     mean: FloatArray,
@@ -71,10 +86,11 @@ def _marginals(
     centre: float,
     half_angle: float,
     max_range: float,
+    stay: float,
     alike: float,
 ) -> tuple[FloatArray, FloatArray, Index, FloatArray]:
     mass = probability_of_members(*table, len(track)) * existence
-    best = _likeliest(track, mass, tracks, alike)
+    best = _likeliest(track, newest, np.where(shown, stay, 1.0) * mass, tracks, alike)
     inside = View(pose, centre, half_angle, max_range).share_inside(mean[best], cov[best])
     exists = summed(mass, track, tracks).clip(max=1.0)
     return exists, _by_class(track, source, mass, tracks), best, inside
@@ -85,22 +101,38 @@ def marginals(density: Density) -> Marginals:
     local, tracks = density.local, len(density.track_id)
     mass = density.hypothesis_probability() * local.existence
     existence = summed(mass, local.track, tracks)
-    best = _likeliest(local.track, mass, tracks, ALIKE)
+    best = _likeliest(
+        local.track, local.newest, np.where(local.shown, STAY, 1.0) * mass, tracks, ALIKE
+    )
     of_class = _by_class(local.track, local.marks.source, mass, tracks)
     return Marginals(existence.clip(max=1.0), of_class, best)
 
 
 @twin("likeliest")
-def _likeliest(track: Index, mass: FloatArray, tracks: int, alike: float) -> Index:
-    """(tracks,) of each track the row of the largest mass, the first of those that are alike."""
-    order = np.argsort(track, kind="stable")
-    first = np.flatnonzero(np.diff(track[order], prepend=-1))
-    if not len(first):
-        return order
-    top = np.maximum.reduceat(mass[order], first)
-    count = np.diff(first, append=len(order))
-    near = np.flatnonzero(mass[order] >= np.repeat(top * (1 - alike), count))
-    return order[near[np.searchsorted(near, first)]]
+def _likeliest(
+    track: Index, newest: IntArray, mass: FloatArray, tracks: int, alike: float
+) -> Index:
+    """(tracks,) of each track the row of the largest mass among those that took last what is
+    likeliest in all; of equals the first.
+
+    Hypotheses that took the same detection last agree on where the object is: three that differ in
+    older steps alone may together outweigh a heavier one that took another.
+    """
+    _, group = np.unique(np.stack([track, newest]), axis=1, return_inverse=True)
+    group = group.reshape(-1)
+    agreed = _first_of_largest(track, summed(mass, group, len(track))[group], tracks, alike)
+    own = np.where(group == group[agreed][track], mass, -1.0)
+    return _first_of_largest(track, own, tracks, alike)
+
+
+def _first_of_largest(track: Index, value: FloatArray, tracks: int, alike: float) -> Index:
+    """(tracks,) of each track the first row of those whose value is alike its largest."""
+    top = np.zeros(tracks)
+    np.maximum.at(top, track, value)
+    near = np.flatnonzero(value >= top[track] * (1 - alike))[::-1]
+    first = np.zeros(tracks, np.intp)
+    first[track[near]] = near
+    return first
 
 
 def _by_class(track: Index, source: FloatArray, mass: FloatArray, tracks: int) -> FloatArray:

@@ -50,6 +50,8 @@ def predict(
             *_moved(local.mean, local.cov, transition),
             local.box,
             local.label,
+            local.newest,
+            local.shown,
             local.history,
             predict_marks(local.marks, transition),
         ),

@@ -163,20 +163,19 @@ def report(model: PMBMConfig, state: State, frame: Frame, density: Density) -> t
     """The state after the frame, and the tracks that probably exist and are probably in view.  One
     that has left the view is kept in mind, and reported again where it comes back."""
     marginal, inside = in_view(density, frame.region)
-    local = density.local
     before = state.before if frame.time == state.time else (state.scene, frame.dt)
     scene = model.scores.observed(before[0], marginal, inside, before[1])
     exists = marginal.objects(model.scores.object_share(scene))
     reported = np.flatnonzero((exists > model.report.above) & (inside > 0.5))
-    local = local.take(marginal.best[reported])
-    if model.report.exclusive:
+    if model.report.exclusive and len(reported) > 1:
         # What is known for longer has the priority, if it is there more probably than not.
-        doubtful = exists[reported] <= 0.5
+        doubtful, best = exists[reported] <= 0.5, marginal.best[reported]
         order = np.lexsort((density.track_id[reported], doubtful))
         sure = len(order) - int(np.count_nonzero(doubtful))
-        kept = suppress_overlaps(np.ascontiguousarray(local.mean[:, :2]), local.box, order, sure)
-        if len(kept) < len(local):
-            reported, local = reported[kept], local.take(kept)
+        position = np.ascontiguousarray(density.local.mean[best, :2])
+        reported = reported[suppress_overlaps(position, density.local.box[best], order, sure)]
+    local = density.local.take(marginal.best[reported])
+    density = replace(density, local=replace(density.local, shown=marginal.shown_as(density.local)))
     ids, density = state.ids.after(density, marginal, exists, reported)
     tracks = unchecked(
         Tracks,

@@ -53,7 +53,7 @@ def update(
     missed, detected, new, member = _used(table.member, H, n, len(scan))
     local = Locals.joined(
         _missed(density.local, association, sensor, missed),
-        _detected(density.local, scan, association, sensor, detected),
+        _detected(density, scan, association, sensor, detected),
         _first_detected(density, scan, association, sensor, new),
     )
     return Density(
@@ -100,15 +100,17 @@ def _missed(
         cov,
         local.box,
         local.label,
+        local.newest,
+        local.shown,
         history,
         marks,
     ).take(rows)
 
 
 def _detected(
-    local: Locals, scan: Scan, association: Association, sensor: ObservationModel, pairs: Index
+    density: Density, scan: Scan, association: Association, sensor: ObservationModel, pairs: Index
 ) -> Locals:
-    known = association.known
+    local, known = density.local, association.known
     row, measurement = known.row[pairs], known.measurement[pairs]
     if isinstance(known, UpdatedPairs):
         mean, cov = known.mean[pairs], known.cov[pairs]
@@ -125,6 +127,8 @@ def _detected(
         cov,
         sensor.boxed(local.box[row], scan.box[measurement]),
         scan.label[measurement] if sensor.describes else local.label[row],
+        density.detections_seen + measurement,
+        local.shown[row],
         _remember(local.history[row], measurement),
         sensor.detection.if_detected(told, scan.confidence[measurement]),
     )
@@ -151,6 +155,8 @@ def _first_detected(
         cov,
         scan.box[measurements],
         scan.label[measurements],
+        density.detections_seen + measurements,
+        np.zeros(len(measurements), bool),
         _remember(np.full((len(measurements), L), BEFORE, np.int32), measurements),
         sensor.detection.first(scan.source_if_first(measurements), scan.confidence[measurements]),
     )

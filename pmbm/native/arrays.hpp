@@ -12,6 +12,8 @@
 #include <utility>
 #include <vector>
 
+#include "tables.hpp"
+
 namespace pmbm {
 
 namespace nb = nanobind;
@@ -29,6 +31,10 @@ struct Kind<std::int64_t> {
 template <>
 struct Kind<std::int32_t> {
     static constexpr const char *name = "int32", *formats = "il";
+};
+template <>
+struct Kind<Flag> {
+    static constexpr const char *name = "bool", *formats = "?";
 };
 template <>
 struct Kind<bool> {

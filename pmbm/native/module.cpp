@@ -296,9 +296,9 @@ nb::tuple box_rays(Table<double> offset, Table<double> box, Input<double> widen,
                           hand_over(std::move(rays.cores)));
 }
 
-Output<std::int64_t> likeliest(Input<std::int64_t> track, Input<double> mass,
-                               std::int64_t tracks, double alike) {
-    return hand_over(pmbm::likeliest(track.data(), mass.data(), track.size(),
+Output<std::int64_t> likeliest(Input<std::int64_t> track, Input<std::int64_t> newest,
+                               Input<double> mass, std::int64_t tracks, double alike) {
+    return hand_over(pmbm::likeliest(track.data(), newest.data(), mass.data(), track.size(),
                                      static_cast<std::size_t>(tracks), alike));
 }
 
@@ -353,20 +353,33 @@ nb::tuple hand_over(pmbm::Mixture&& mixture) {
 }
 
 // One step of the filter; pmbm/filter/compiled.py says what goes in and what comes out.
-nb::tuple step(nb::tuple ppp, nb::tuple local, nb::tuple table, Input<std::int64_t> track_id,
+nb::tuple step(nb::tuple ppp, nb::tuple births, nb::tuple local, nb::tuple table, Input<std::int64_t> track_id,
                std::int64_t detections_seen, std::int64_t settled, nb::tuple scan,
                nb::tuple sensor, nb::tuple rules, nb::tuple reduction, nb::tuple constants,
                Table<double> nodes, Input<double> cos, Input<double> sin) {
     const MixtureColumns mixture(ppp);
+    Input<double> born;
+    Table<double> born_mean, born_cov;
+    pmbm::BirthsView births_view{};
+    const bool comes_predicted = births.size() == 0;
+    if (!comes_predicted) {
+        born = nb::cast<Input<double>>(births[0]);
+        born_mean = nb::cast<Table<double>>(births[1]);
+        born_cov = nb::cast<Table<double>>(births[2]);
+        births_view = {born.data(), born_mean.data(), born_cov.data(), born.size(),
+                       nb::cast<bool>(births[3])};
+    }
     const auto track = nb::cast<Input<std::int64_t>>(local[0]);
     const auto existence = nb::cast<Input<double>>(local[1]);
     const auto mean = nb::cast<Table<double>>(local[2]);
     const auto cov = nb::cast<Table<double>>(local[3]);
     const auto box = nb::cast<Table<double>>(local[4]);
     const auto label = nb::cast<Input<std::int8_t>>(local[5]);
-    const auto history = nb::cast<Table<std::int32_t>>(local[6]);
-    const auto source = nb::cast<Table<double>>(local[7]);
-    const auto detection = nb::cast<Input<double>>(local[8]);
+    const auto newest = nb::cast<Input<std::int64_t>>(local[6]);
+    const auto shown = nb::cast<Input<bool>>(local[7]);
+    const auto history = nb::cast<Table<std::int32_t>>(local[8]);
+    const auto source = nb::cast<Table<double>>(local[9]);
+    const auto detection = nb::cast<Input<double>>(local[10]);
     const auto length = history.shape(1);
 
     const auto cluster = nb::cast<Input<std::int64_t>>(table[0]);
@@ -410,12 +423,12 @@ nb::tuple step(nb::tuple ppp, nb::tuple local, nb::tuple table, Input<std::int64
     const bool clustering = nb::cast<bool>(reduction[6]);
     const double log_prune = number(reduction, 3), largest = number(reduction, 1);
     const pmbm::StepRules how{
-        F.data(), Q.data(), number(rules, 2), number(rules, 3),
+        F.data(), Q.data(), number(rules, 2), number(rules, 13), number(rules, 3),
         {whole(reduction, 0), largest, whole(reduction, 2), -log_prune, log_prune, clustering},
         {log_prune, whole(reduction, 0), largest, number(reduction, 4), whole(reduction, 5),
          clustering, number(reduction, 7), whole(reduction, 8)},
         nb::cast<bool>(rules[4]), number(rules, 5), number(rules, 6), number(rules, 7),
-        number(rules, 8), number(rules, 9), whole(rules, 10), whole(rules, 11),
+        number(rules, 8), number(rules, 9), number(rules, 14), whole(rules, 10), whole(rules, 11),
         number(rules, 12)};
     const auto occlusion = occlusion_rules(constants, nodes, cos, sin);
 
@@ -423,9 +436,9 @@ nb::tuple step(nb::tuple ppp, nb::tuple local, nb::tuple table, Input<std::int64
     {
         nb::gil_scoped_release released;
         pmbm::Stepper stepper(
-            mixture.view(),
+            mixture.view(), comes_predicted ? nullptr : &births_view,
             {track.data(), existence.data(), mean.data(), cov.data(), box.data(), label.data(),
-             history.data(), source.data(), detection.data(), existence.size(), length,
+             newest.data(), shown.data(), history.data(), source.data(), detection.data(), existence.size(), length,
              source.shape(1)},
             {cluster.data(), start.data(), member.data(), log_weight.data(),
              static_cast<std::int64_t>(cluster.size())},
@@ -435,14 +448,16 @@ nb::tuple step(nb::tuple ppp, nb::tuple local, nb::tuple table, Input<std::int64
             sees, how, occlusion);
         out = stepper.run();
     }
+    const auto rows = out.existence.size(), classes = source.shape(1);
     const auto remembered =
-        array_of(std::move(out.history), {out.existence.size(), static_cast<std::size_t>(length)});
+        array_of(std::move(out.history), {rows, static_cast<std::size_t>(length)});
     return nb::make_tuple(
         hand_over(std::move(out.undetected)),
         nb::make_tuple(hand_over(std::move(out.track)), hand_over(std::move(out.existence)),
                        rows_of<4>(std::move(out.mean)), matrices_of<4>(std::move(out.cov)),
                        rows_of<5>(std::move(out.box)), hand_over(std::move(out.label)),
-                       remembered),
+                       hand_over(std::move(out.newest)), hand_over(std::move(out.shown)),
+                       remembered, array_of(std::move(out.source), {rows, classes})),
         hand_over(std::move(out.hypotheses)), hand_over(std::move(out.track_id)), out.settled,
         nb::make_tuple(out.missed, out.detected, hand_over(std::move(out.from)),
                        hand_over(std::move(out.measurement)),
@@ -456,10 +471,10 @@ nb::tuple step(nb::tuple ppp, nb::tuple local, nb::tuple table, Input<std::int64
 
 // What a report asks of a density: existence of tracks, that of sources of each class, the rows of
 // the likeliest local hypotheses, and how probably these are in view.
-nb::tuple marginals(nb::tuple table, Input<std::int64_t> track, Input<double> existence,
-                    Table<double> source, Table<double> mean, Table<double> cov,
-                    std::int64_t tracks, Input<double> pose, double centre, double half_angle,
-                    double max_range, double alike) {
+nb::tuple marginals(nb::tuple table, Input<std::int64_t> track, Input<std::int64_t> newest,
+                    Input<bool> shown, Input<double> existence, Table<double> source, Table<double> mean,
+                    Table<double> cov, std::int64_t tracks, Input<double> pose, double centre, double half_angle,
+                    double max_range, double stay, double alike) {
     const auto H = existence.size(), K = source.shape(1), T = static_cast<std::size_t>(tracks);
     const auto held = pmbm::probability(
         view(nb::cast<Input<std::int64_t>>(table[0]), nb::cast<Input<double>>(table[1]),
@@ -475,7 +490,10 @@ nb::tuple marginals(nb::tuple table, Input<std::int64_t> track, Input<double> ex
         }
     }
     for (auto& r : exists) r = std::min(r, 1.0);
-    auto best = pmbm::likeliest(track.data(), mass.data(), H, T, alike);
+    for (std::size_t h = 0; h < H; ++h) {
+        if (shown.data()[h]) mass[h] *= stay;
+    }
+    auto best = pmbm::likeliest(track.data(), newest.data(), mass.data(), H, T, alike);
     for (std::size_t t = 0; t < T; ++t) {
         const auto h = static_cast<std::size_t>(best[t]);
         pmbm::share_inside(mean.data() + 4 * h, cov.data() + 16 * h, 1,

@@ -37,10 +37,20 @@ struct MixtureView {
     std::size_t count;
 };
 
+// What was born meanwhile: log_weight (P,), mean (P,4), cov (P,4,4).  in_place: survivors that begin
+// with the births of the interval before take in the new ones component by component.
+struct BirthsView {
+    const double *log_weight, *mean, *cov;
+    std::size_t count;
+    bool in_place;
+};
+
 struct LocalsView {
     const std::int64_t* track;
     const double *existence, *mean, *cov, *box;
     const std::int8_t* label;
+    const std::int64_t* newest;
+    const bool* shown;
     const std::int32_t* history;
     // P(class of the source) (H,K), predicted; P_D (H,) in the open.
     const double *source, *detection;
@@ -69,11 +79,11 @@ struct SensorRules {
 
 struct StepRules {
     const double *F, *Q;
-    double survival, gate;
+    double survival, log_survival, gate;
     BranchLimits branching;
     ReductionLimits reduction;
     bool recycle;
-    double log_prune_undetected, merge_below, alike, as_heavy, as_likely;
+    double log_prune_undetected, merge_below, alike, as_heavy, as_likely, stay;
     std::int64_t max_undetected, few;
     double most_of_one;
 };
@@ -107,7 +117,10 @@ struct Step {
     Ints track;
     Floats existence, mean, cov, box;
     std::vector<std::int8_t> label;
+    Ints newest;
+    std::vector<Flag> shown;
     std::vector<std::int32_t> history;
+    Floats source;
     Table hypotheses;
     Ints track_id;
     std::int64_t settled = 0;
@@ -124,6 +137,49 @@ inline double log_sum(double a, double b) {
     const double top = std::max(a, b);
     if (top == kNothing) return kNothing;
     return top + std::log1p(std::exp(std::min(a, b) - top));
+}
+
+inline Mixture owned(const MixtureView& view) {
+    const auto n = view.count;
+    Mixture out;
+    out.log_weight.assign(view.log_weight, view.log_weight + n);
+    out.mean.assign(view.mean, view.mean + 4 * n);
+    out.cov.assign(view.cov, view.cov + 16 * n);
+    if (view.track) {
+        out.track.assign(view.track, view.track + n);
+        out.share.assign(view.share, view.share + n);
+        out.recycled.assign(view.recycled, view.recycled + n);
+    } else {
+        out.track.assign(n, -1);
+        out.share.assign(n, 0.0);
+        out.recycled.assign(n, 0.0);
+    }
+    return out;
+}
+
+// BroadBirth.joined().
+inline Mixture with_births(Mixture&& survivors, const BirthsView& births) {
+    const auto n = births.count;
+    const bool meet = births.in_place && n <= survivors.size() &&
+                      std::equal(births.mean, births.mean + 4 * n, survivors.mean.begin());
+    if (!meet) {
+        Mixture born = owned({births.log_weight, births.mean, births.cov, nullptr, nullptr,
+                              nullptr, n});
+        Mixture& first = births.in_place ? born : survivors;
+        const Mixture& second = births.in_place ? survivors : born;
+        for (std::size_t i = 0; i < second.size(); ++i) first.append(second, i);
+        return std::move(first);
+    }
+    for (std::size_t i = 0; i < n; ++i) {
+        double& weight = survivors.log_weight[i];
+        weight = log_sum(weight, births.log_weight[i]);
+        const double share = std::exp(births.log_weight[i] - weight);
+        double* P = survivors.cov.data() + 16 * i;
+        for (int a = 0; a < 16; ++a) P[a] += share * (births.cov[16 * i + a] - P[a]);
+        survivors.share[i] *= 1 - share;
+        survivors.recycled[i] *= 1 - share;
+    }
+    return std::move(survivors);
 }
 
 // RecycledFrom.merged() for one group of components.
@@ -217,11 +273,12 @@ inline Mixture merged_mixture(const Mixture& mixture, double threshold, double a
 
 class Stepper {
  public:
-    Stepper(const MixtureView& ppp, const LocalsView& local, const TableView& table,
+    // births: null where the undetected objects come predicted, births and all.
+    Stepper(const MixtureView& ppp, const BirthsView* births, const LocalsView& local, const TableView& table,
             const std::int64_t* track_id, std::size_t tracks, std::int64_t detections_seen,
             std::int64_t settled, const ScanView& scan, const SensorRules& sensor,
             const StepRules& rules, const OcclusionRules& occlusion)
-        : ppp_(ppp), local_(local), table_(table), track_id_(track_id), tracks_(tracks),
+        : survivors_(ppp), births_(births), local_(local), table_(table), track_id_(track_id), tracks_(tracks),
           detections_seen_(detections_seen), settled_(settled), scan_(scan), sensor_(sensor),
           rules_(rules), occlusion_(occlusion) {}
 
@@ -245,20 +302,25 @@ class Stepper {
     }
 
  private:
-    // Box 1.  The undetected objects come predicted.
+    // Box 1.
     void predict() {
         move(local_.mean, local_.cov, local_.count, rules_.F, rules_.Q, mean_, cov_);
         existence_.resize(local_.count);
         for (std::size_t h = 0; h < local_.count; ++h) {
             existence_[h] = local_.existence[h] * rules_.survival;
         }
-        ppp_mean_.assign(ppp_.mean, ppp_.mean + 4 * ppp_.count);
-        ppp_cov_.assign(ppp_.cov, ppp_.cov + 16 * ppp_.count);
+        ppp_ = owned(survivors_);
+        recycled_before_ = survivors_.track != nullptr;
+        if (!births_) return;
+        move(survivors_.mean, survivors_.cov, survivors_.count, rules_.F, rules_.Q, ppp_.mean,
+             ppp_.cov);
+        for (auto& weight : ppp_.log_weight) weight += rules_.log_survival;
+        ppp_ = with_births(std::move(ppp_), *births_);
     }
 
     // P_D as misses and as detections count it, and the states after a miss.
     void observe() {
-        const auto H = local_.count, P = ppp_.count;
+        const auto H = local_.count, P = ppp_.size();
         Floats inside(std::max(H, P), 1.0);
         detection_.resize(H);
         if (!sensor_.looks_everywhere) {
@@ -269,7 +331,7 @@ class Stepper {
         ppp_detection_.resize(P);
         std::fill(inside.begin(), inside.end(), 1.0);
         if (sensor_.undetected_in_detail && !sensor_.looks_everywhere) {
-            share_inside(ppp_mean_.data(), ppp_cov_.data(), P, sensor_.view, inside.data());
+            share_inside(ppp_.mean.data(), ppp_.cov.data(), P, sensor_.view, inside.data());
         }
         for (std::size_t p = 0; p < P; ++p) {
             ppp_detection_[p] = sensor_.detection_undetected * inside[p];
@@ -277,8 +339,8 @@ class Stepper {
         ppp_if_detected_ = ppp_detection_;
         missed_mean_ = mean_;
         missed_cov_ = cov_;
-        ppp_missed_mean_ = ppp_mean_;
-        ppp_missed_cov_ = ppp_cov_;
+        ppp_missed_mean_ = ppp_.mean;
+        ppp_missed_cov_ = ppp_.cov;
         if (sensor_.hides) hide();
     }
 
@@ -289,9 +351,11 @@ class Stepper {
         for (std::size_t h = 0; h < H; ++h) {
             mass[h] = held[h] * existence_[h];
             track_existence[local_.track[h]] += mass[h];
+            if (local_.shown[h]) mass[h] *= rules_.stay;
         }
         for (auto& r : track_existence) r = std::min(r, 1.0);
-        const auto best = likeliest(local_.track, mass.data(), H, tracks_, rules_.as_likely);
+        const auto best = likeliest(local_.track, local_.newest, mass.data(), H, tracks_,
+                                    rules_.as_likely);
         const Shadows shadows(sensor_.view.pose, {mean_.data(), cov_.data()}, local_.box,
                               local_.track, H, track_existence.data(), best.data(), tracks_,
                               sensor_.occluders, occlusion_);
@@ -308,10 +372,10 @@ class Stepper {
             detection_[h] = in_the_open * visible[h];
             if_detected_[h] = in_the_open * std::max(visible[h], occlusion_.least_visible);
         }
-        for (std::size_t p = 0; sensor_.undetected_in_detail && p < ppp_.count; ++p) {
+        for (std::size_t p = 0; sensor_.undetected_in_detail && p < ppp_.size(); ++p) {
             const double in_the_open = ppp_detection_[p];
             const auto glimpse =
-                shadows.of_undetected(ppp_mean_.data() + 4 * p, ppp_cov_.data() + 16 * p);
+                shadows.of_undetected(ppp_.mean.data() + 4 * p, ppp_.cov.data() + 16 * p);
             const double share = glimpse.share();
             ppp_detection_[p] = in_the_open * share;
             ppp_if_detected_[p] = in_the_open * std::max(share, occlusion_.least_visible);
@@ -351,12 +415,12 @@ class Stepper {
         const double tiny = std::exp(kLogTiny);
         for (auto& weight : log_missed) weight = std::log(std::max(weight, tiny));
 
-        Floats log_detected(ppp_.count);
-        for (std::size_t p = 0; p < ppp_.count; ++p) {
+        Floats log_detected(ppp_.size());
+        for (std::size_t p = 0; p < ppp_.size(); ++p) {
             log_detected[p] = ppp_.log_weight[p] + std::log(ppp_if_detected_[p]);
         }
-        first_ = std::make_unique<Expected>(ppp_mean_.data(), ppp_cov_.data(), sensor_.R,
-                                            log_detected.data(), true, ppp_.count);
+        first_ = std::make_unique<Expected>(ppp_.mean.data(), ppp_.cov.data(), sensor_.R,
+                                            log_detected.data(), true, ppp_.size());
         log_e_ = log_density(first_->view(), first_->log_height.data(), scan_.position, M,
                              rules_.gate);
         const double log_clutter = sensor_.clutter > 0 ? std::log(sensor_.clutter) : kNothing;
@@ -402,21 +466,15 @@ class Stepper {
         }
         ids_.assign(track_id_, track_id_ + tracks_);
         for (std::int64_t j = 0; j < M; ++j) ids_.push_back(detections_seen_ + j);
-        if (ppp_.track && !runs_[2].empty()) resume();
+        if (recycled_before_ && !runs_[2].empty()) resume();
         auto& ppp = out_.undetected;
-        ppp.log_weight.resize(ppp_.count);
-        for (std::size_t p = 0; p < ppp_.count; ++p) {
+        ppp.log_weight.resize(ppp_.size());
+        for (std::size_t p = 0; p < ppp_.size(); ++p) {
             ppp.log_weight[p] = ppp_.log_weight[p] + std::log1p(-ppp_detection_[p]);
         }
-        if (ppp_.track) {
-            ppp.track.assign(ppp_.track, ppp_.track + ppp_.count);
-            ppp.share.assign(ppp_.share, ppp_.share + ppp_.count);
-            ppp.recycled.assign(ppp_.recycled, ppp_.recycled + ppp_.count);
-        } else {
-            ppp.track.assign(ppp_.count, -1);
-            ppp.share.assign(ppp_.count, 0.0);
-            ppp.recycled.assign(ppp_.count, 0.0);
-        }
+        ppp.track = ppp_.track;
+        ppp.share = ppp_.share;
+        ppp.recycled = ppp_.recycled;
     }
 
     void resume() {
@@ -431,7 +489,7 @@ class Stepper {
         }
         Ints origins;
         Floats shares;
-        explained(first_->view(), first_->log_height.data(), ppp_.track, ppp_.share, z.data(),
+        explained(first_->view(), first_->log_height.data(), ppp_.track.data(), ppp_.share.data(), z.data(),
                   log_e.data(), fresh.size(), rules_.gate, origins, shares);
         origins = resumed(std::move(origins), shares, rules_.most_of_one, r.data(), track_id_,
                           tracks_);
@@ -492,7 +550,7 @@ class Stepper {
         new_cov_.resize(16 * n);
         unexplained(z.data(), sensor_.R, n, new_mean_.data(), new_cov_.data());
         if (n) {
-            fuse(first_->view(), first_->log_height.data(), ppp_mean_.data(), ppp_cov_.data(),
+            fuse(first_->view(), first_->log_height.data(), ppp_.mean.data(), ppp_.cov.data(),
                  sensor_.R, z.data(), log_e.data(), n, rules_.gate, new_mean_.data(),
                  new_cov_.data());
         }
@@ -531,6 +589,7 @@ class Stepper {
         out_.cov.resize(16 * rows.size());
         out_.box.resize(5 * rows.size());
         out_.history.resize(L * rows.size());
+        out_.source.resize(local_.classes * rows.size());
         for (std::size_t i = 0; i < rows.size(); ++i) {
             const auto candidate = static_cast<std::size_t>(rows[i]);
             out_.existence.push_back(existence_after_[candidate]);
@@ -562,12 +621,30 @@ class Stepper {
                     box[a] = before[a] + sensor_.box_gain * (box[a] - before[a]);
                 }
             }
+            out_.shown.push_back({h >= 0 && local_.shown[h]});
+            out_.newest.push_back(j >= 0 ? detections_seen_ + j : local_.newest[h]);
             out_.label.push_back(j >= 0 ? scan_.label[j] : local_.label[h]);
             for (std::size_t step = 0; L && step + 1 < L; ++step) {
                 history[step] = h >= 0 ? local_.history[L * h + step + 1] : kBefore;
             }
             if (L) history[L - 1] = j >= 0 ? static_cast<std::int32_t>(j) : kMissed;
+            tell_source(h, j, out_.source.data() + local_.classes * i);
         }
+    }
+
+    // P(class of the source) (K,) of a local hypothesis that was of row h, or new, and took j or
+    // nothing.  Scan.source_after() and source_if_first().
+    void tell_source(std::int64_t h, std::int64_t j, double* source) const {
+        const auto K = local_.classes;
+        const double* before = h >= 0 ? local_.source + K * static_cast<std::size_t>(h)
+                                      : scan_.birth + (scan_.birth_by_place ? K * j : 0);
+        std::copy_n(before, K, source);
+        if (j < 0) return;
+        const double* evidence = scan_.evidence + K * static_cast<std::size_t>(j);
+        double total = 0;
+        for (std::size_t k = 0; k < K; ++k) total += before[k] * evidence[k];
+        if (!(total > 0)) return;
+        for (std::size_t k = 0; k < K; ++k) source[k] = before[k] * evidence[k] / total;
     }
 
     void recycle(std::size_t candidate, double probability) {
@@ -618,7 +695,8 @@ class Stepper {
 
     static constexpr std::int32_t kMissed = -1, kBefore = -2;
 
-    const MixtureView ppp_;
+    const MixtureView survivors_;
+    const BirthsView* births_;
     const LocalsView local_;
     const TableView table_;
     const std::int64_t* track_id_;
@@ -630,7 +708,9 @@ class Stepper {
     const OcclusionRules& occlusion_;
 
     // Predicted: local hypotheses and undetected objects, and both after a miss.
-    Floats mean_, cov_, existence_, ppp_mean_, ppp_cov_;
+    Floats mean_, cov_, existence_;
+    Mixture ppp_;
+    bool recycled_before_ = false;
     Floats detection_, if_detected_, ppp_detection_, ppp_if_detected_;
     Floats missed_mean_, missed_cov_, missed_existence_, ppp_missed_mean_, ppp_missed_cov_;
     // Gated pairs, and first detections.

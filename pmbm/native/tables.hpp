@@ -17,6 +17,11 @@ namespace pmbm {
 using Ints = std::vector<std::int64_t>;
 using Floats = std::vector<double>;
 
+// A bool of which a vector holds one after the other, as an array does.
+struct Flag {
+    bool value;
+};
+
 // Global hypotheses, sorted by cluster: row g is member[start[g]] to member[start[g + 1]].
 struct TableView {
     const std::int64_t *cluster, *start, *member;
@@ -379,22 +384,47 @@ inline Ints used(const std::int64_t* member, std::size_t members,
     return renumbered;
 }
 
-// Of each track (T,) the row of the largest mass, the first of those that are `alike` it.  The plain
-// version is _likeliest() of estimation.py.
-inline Ints likeliest(const std::int64_t* track, const double* mass, std::size_t rows,
-                      std::size_t tracks, double alike) {
-    Floats top(tracks, 0.0);
+// Of each track (T,) the row of the largest mass among those that took last what is likeliest in
+// all; of masses that are `alike`, the first.  newest (rows,): which detection each took last.  The
+// plain version is _likeliest() of estimation.py.
+inline Ints likeliest(const std::int64_t* track, const std::int64_t* newest, const double* mass,
+                      std::size_t rows, std::size_t tracks, double alike) {
+    struct Group {
+        std::int64_t next, newest;
+        double mass;
+    };
+    std::vector<Group> groups;
+    Ints first_group(tracks, -1), group(rows);
+    groups.reserve(rows);
     for (std::size_t row = 0; row < rows; ++row) {
-        top[track[row]] = std::max(top[track[row]], mass[row]);
-    }
-    Ints best(tracks, -1);
-    for (std::size_t row = 0; row < rows; ++row) {
-        auto& leader = best[track[row]];
-        if (leader < 0 && mass[row] >= top[track[row]] * (1 - alike)) {
-            leader = static_cast<std::int64_t>(row);
+        auto g = first_group[track[row]];
+        while (g >= 0 && groups[g].newest != newest[row]) g = groups[g].next;
+        if (g < 0) {
+            g = static_cast<std::int64_t>(groups.size());
+            groups.push_back({first_group[track[row]], newest[row], 0.0});
+            first_group[track[row]] = g;
         }
+        groups[g].mass += mass[row];
+        group[row] = g;
     }
-    return best;
+    const auto first_of_largest = [&](auto&& value) {
+        Floats top(tracks, 0.0);
+        for (std::size_t row = 0; row < rows; ++row) {
+            top[track[row]] = std::max(top[track[row]], value(row));
+        }
+        Ints best(tracks, -1);
+        for (std::size_t row = 0; row < rows; ++row) {
+            auto& leader = best[track[row]];
+            if (leader < 0 && value(row) >= top[track[row]] * (1 - alike)) {
+                leader = static_cast<std::int64_t>(row);
+            }
+        }
+        return best;
+    };
+    const auto agreed = first_of_largest([&](std::size_t row) { return groups[group[row]].mass; });
+    return first_of_largest([&](std::size_t row) {
+        return group[row] == group[agreed[track[row]]] ? mass[row] : -1.0;
+    });
 }
 
 // Density.hypothesis_probability(): the weight of all rows that each local hypothesis is part of.

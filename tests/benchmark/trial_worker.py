@@ -30,7 +30,7 @@ def main():
         clock = [time.process_time()]
         recording = source.record(seed)
         clock.append(time.process_time())
-        tracks = run(PMBMTracker(), recording)
+        tracks = run(PMBMTracker(site=recording.site), recording)
         clock.append(time.process_time())
         evaluate(recording, tracks)
         clock.append(time.process_time())

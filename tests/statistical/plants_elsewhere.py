@@ -43,8 +43,8 @@ OTHER_PLANTS = [
     Plant(
         "seeds shared between trials",
         "sim/streams.py",
-        "key = (self.trial, int(purpose)",
-        "key = (0, int(purpose)",
+        "key: tuple[int, ...] = (self.trial, int(purpose)",
+        "key: tuple[int, ...] = (0, int(purpose)",
         by="tests/unit/test_detector_streams.py::test_same_seed_same_bits_other_seed_or_trial_other_bits",
         tests=("tests/unit/test_detector_streams.py",),
     ),

@@ -10,13 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from filter_problems import bernoullis
 
 from pmbm import Detections, PMBMConfig, PMBMTracker, Site
 from pmbm.filter import BirthMap, estimation
-from pmbm.filter.density import Density, Locals, Marks, Mixture
+from pmbm.filter.density import Density, Globals, Locals, Marks, Mixture
 from pmbm.filter.models.occlusion import Shadows
 from pmbm.filter.models.rays import BEARINGS, bearing_of
 from pmbm.filter.models.undetected_map import WIDEST, capped, merged_by_cell, narrowed
+from pmbm.filter.models.view import View
 from pmbm.sim import load_scenario
 
 WALL = np.array([[20, -5], [22, -5], [22, 5], [20, 5]], dtype=float)
@@ -206,6 +208,8 @@ def test_two_boxes_of_one_front_hide_each_other_neither_way():
             cov=np.tile(1e-4 * np.eye(4), (2, 1, 1)),
             box=np.array([[0.0, 4.0, 2.0, 1.5, 0.0]] * 2),
             label=np.zeros(2, np.int8),
+            newest=np.zeros(2, np.int64),
+            shown=np.zeros(2, bool),
             history=np.zeros((2, 0), np.int32),
             marks=Marks.neutral(2),
         )
@@ -228,4 +232,32 @@ def together(density):
 def test_of_states_as_probable_as_each_other_the_first_is_the_best(assignment_kernel):
     track = np.array([1, 0, 1, 0, 1, 2])
     mass = np.array([0.3, 0.5, 0.3 * (1 + 1e-13), 0.4, 0.2, 0.0])
-    assert estimation._likeliest(track, mass, 3, 1e-9).tolist() == [1, 0, 5]
+    apart = np.arange(6)
+    assert estimation._likeliest(track, apart, mass, 3, 1e-9).tolist() == [1, 0, 5]
+
+
+def test_hypotheses_that_agree_on_the_newest_detection_are_weighed_together(assignment_kernel):
+    # One took detection 7 (.39); three took 4 (.61 in all), and differ in older steps.
+    track = np.zeros(4, np.intp)
+    newest = np.array([7, 4, 4, 4])
+    mass = np.array([0.39, 0.2, 0.21, 0.2])
+    assert estimation._likeliest(track, newest, mass, 1, 1e-9).tolist() == [2]
+
+
+def test_what_was_shown_last_stays_until_something_is_twice_as_likely(assignment_kernel):
+    track = np.zeros(2, np.intp)
+    apart = bernoullis(track, np.ones(2), np.zeros((2, 4)), np.tile(np.eye(4), (2, 1, 1)))
+    apart = replace(apart, newest=np.array([4, 7]), shown=np.array([True, False]))
+    for weights, shown in (([0.45, 0.55], 0), ([0.3, 0.7], 1)):
+        table = Globals(
+            np.zeros(2, np.intp), np.log(weights), np.arange(3), np.arange(2, dtype=np.intp)
+        )
+        density = replace(
+            Density.initial(Mixture.empty(), local=apart),
+            hypotheses=table,
+            track_id=np.zeros(1, np.int64),
+        )
+        everywhere = View(np.zeros(3), 0.0, np.pi, 100.0)
+        for marginal in (estimation.marginals(density), estimation.in_view(density, everywhere)[0]):
+            assert marginal.best.tolist() == [shown]
+            assert marginal.shown_as(density.local).tolist() == [shown == 0, shown == 1]

@@ -72,7 +72,10 @@ def tables(density):
     found = dict(zip(("track", "share", "recycled"), columns, strict=True))
     for part, names in (
         (ppp, ("log_weight", "mean", "cov")),
-        (local, ("track", "existence", "mean", "cov", "box", "label", "history")),
+        (
+            local,
+            ("track", "existence", "mean", "cov", "box", "label", "newest", "shown", "history"),
+        ),
         (local.marks, ("source", "confidence", "detectable")),
         (table, ("cluster", "log_weight", "start", "member")),
         (density, ("track_id", "detections_seen", "undetected_settled")),
@@ -86,6 +89,8 @@ def check_steps(config, recording, steps):
     """Both kernels go on from the state that the compiled one has reached."""
     state, site = State.initial(config), recording.site
     for detections in recording.detections[:steps]:
+        if state.started and detections.time < state.time:
+            continue
         frame = form_frame(
             config,
             site,

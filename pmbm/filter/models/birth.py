@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from functools import lru_cache
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -52,7 +53,7 @@ class BroadBirth:
     def births(
         self, site: Site, view: View, dt: float | None, survival: Survival, memory: Spread | None
     ) -> tuple[Mixture, Spread]:
-        if memory is None or not np.array_equal(view.pose, memory.pose):
+        if memory is None or view.pose.tobytes() != memory.pose.tobytes():
             shape = spread_over(view, self.components, self.speed_sd)
             memory = Spread(shape, view.pose)
         expected = self.initial if dt is None else survival.alive(dt, self.rate)
@@ -96,15 +97,36 @@ def spread_over(view: View, components: int, speed_sd: float) -> Mixture:
     components : how many Gaussians; their centres lie on a sunflower's spiral, which fills any
         sector evenly.  speed_sd : of each velocity component, m/s.
     """
+    spiral = _spiral(view.half_angle, view.max_range, view.area, components, speed_sd)
+    x, y, yaw = view.pose.tolist()
+    angle = yaw + view.centre + spiral.turn
+    mean = np.zeros((components, 4))
+    mean[:, 0] = x + spiral.radius * np.cos(angle)
+    mean[:, 1] = y + spiral.radius * np.sin(angle)
+    return Mixture(spiral.log_weight, mean, spiral.cov)
+
+
+class _Spiral(NamedTuple):
+    """Gaussians that cover a sector, wherever it lies: bearing off its middle (N,), rad, and
+    radius (N,), m, of their centres; log_weight (N,) and cov (N,4,4)."""
+
+    turn: FloatArray
+    radius: FloatArray
+    log_weight: FloatArray
+    cov: FloatArray
+
+
+@lru_cache(maxsize=8)
+def _spiral(
+    half_angle: float, max_range: float, area: float, components: int, speed_sd: float
+) -> _Spiral:
     i = np.arange(components)
     turn = np.mod(i * _GOLDEN_ANGLE_SHARE, 1.0)
-    angle = view.pose[2] + view.centre + view.half_angle * (2 * turn - 1)
-    radius = view.max_range * np.sqrt((i + 0.5) / components)
-    mean = np.zeros((components, 4))
-    mean[:, 0] = view.pose[0] + radius * np.cos(angle)
-    mean[:, 1] = view.pose[1] + radius * np.sin(angle)
-    variance = 0.25 * view.area / components
+    variance = 0.25 * area / components
     cov = np.diag([variance, variance, speed_sd**2, speed_sd**2])
-    return Mixture(
-        np.full(components, -math.log(components)), mean, np.tile(cov, (components, 1, 1))
+    return _Spiral(
+        half_angle * (2 * turn - 1),
+        max_range * np.sqrt((i + 0.5) / components),
+        np.full(components, -math.log(components)),
+        np.tile(cov, (components, 1, 1)),
     )

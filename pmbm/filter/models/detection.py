@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -104,10 +104,10 @@ class DetectionFromScores:
 
     def if_detected(self, marks: Marks, confidence: FloatArray) -> Marks:
         mean = (1 - self.newest) * marks.confidence + self.newest * confidence
-        return replace(marks, confidence=mean)
+        return Marks(marks.source, mean, marks.detectable)
 
     def first(self, source: FloatArray, confidence: FloatArray) -> Marks:
-        return replace(Marks.of_source(source), confidence=confidence)
+        return Marks(source, confidence, np.ones(len(source)))
 
     def never_detected(self, source: FloatArray) -> Marks:
         return Marks.of_source(source)
@@ -173,25 +173,25 @@ class DetectionChain:
         marks = self.base.predicted(marks, dt)
         memory = (self.stay_detectable + self.stay_undetectable - 1) ** (dt / self.interval)
         after = self.stationary + (marks.detectable - self.stationary) * memory
-        return replace(marks, detectable=after)
+        return Marks(marks.source, marks.confidence, after)
 
     def if_missed(self, marks: Marks, P_D: FloatArray) -> Marks:
         marks = self.base.if_missed(marks, P_D)
         after = detectable_if_missed(marks.detectable, P_D, self.undetectable)
-        return replace(marks, detectable=after)
+        return Marks(marks.source, marks.confidence, after)
 
     def if_detected(self, marks: Marks, confidence: FloatArray) -> Marks:
         marks = self.base.if_detected(marks, confidence)
-        return replace(marks, detectable=self._after_detection(marks.detectable))
+        return Marks(marks.source, marks.confidence, self._after_detection(marks.detectable))
 
     def first(self, source: FloatArray, confidence: FloatArray) -> Marks:
         marks = self.base.first(source, confidence)
-        usual = np.full(len(marks), self.stationary)
-        return replace(marks, detectable=self._after_detection(usual))
+        usual = self._after_detection(np.full(1, self.stationary))
+        return Marks(marks.source, marks.confidence, usual.repeat(len(marks)))
 
     def never_detected(self, source: FloatArray) -> Marks:
         marks = self.base.never_detected(source)
-        return replace(marks, detectable=np.full(len(marks), self.stationary))
+        return Marks(marks.source, marks.confidence, np.full(len(marks), self.stationary))
 
     def _after_detection(self, detectable: FloatArray) -> FloatArray:
         return detectable / np.maximum(self.share(detectable), np.finfo(float).tiny)
