@@ -6,8 +6,10 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+BASE := $(VENV)/.base
 NATIVE := CMakeLists.txt $(wildcard pmbm/native/*)
 AGAINST ?= HEAD~1
+CHECK_NATIVE := $(BIN)/python -c 'from pmbm.kernels import native; native or print("Nothing was compiled: the plain filter works, and takes ten times as long. pip install -v -e . says why.")'
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
@@ -19,7 +21,7 @@ DEMO_SEED := 20210606
 .PHONY: demo test lint gate verify bench clean
 .DEFAULT_GOAL := test
 
-$(STAMP): pyproject.toml Makefile $(NATIVE)
+$(BIN)/python:
 	@python=""; \
 	for candidate in python3 python3.13 python3.12 python3.11 python; do \
 	  if $$candidate -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then \
@@ -30,13 +32,24 @@ $(STAMP): pyproject.toml Makefile $(NATIVE)
 	  echo "No Python 3.11 or newer with venv and ensurepip was found on PATH: install one (Debian: apt install python3 python3-venv) and run make again." >&2; \
 	  exit 1; \
 	fi; \
-	[ -x $(BIN)/python ] || $$python -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[test,lint,tune,waymo,argoverse2,tables,dask]'
-	@$(BIN)/python -c 'from pmbm.kernels import native; native or print("Nothing was compiled: the plain filter works, and takes ten times as long. pip install -v -e . says why.")'
+	$$python -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --upgrade pip
+
+# What the demo needs and no more: about half of what the tests need.
+$(BASE): pyproject.toml Makefile $(NATIVE) | $(BIN)/python
+	@echo "Setting up $(VENV), once: packages from PyPI, and the kernels compiled where a C++ compiler is. It takes a minute or a few."
+	$(BIN)/python -m pip install --quiet --editable .
+	@$(CHECK_NATIVE)
 	@touch $@
 
-demo: $(STAMP)
+$(STAMP): pyproject.toml Makefile $(NATIVE) | $(BIN)/python
+	@echo "Setting up $(VENV), once: packages from PyPI for tests, linters and datasets, and the kernels compiled where a C++ compiler is. It takes a few minutes."
+	$(BIN)/python -m pip install --quiet --editable '.[test,lint,tune,waymo,argoverse2,tables,dask]'
+	@$(CHECK_NATIVE)
+	@touch $@
+
+demo: $(if $(wildcard $(STAMP)),$(STAMP),$(BASE))
+	@echo "Recording, tracking and scoring 20 trials of $(words $(DEMO)) scenarios with two trackers, then a page with replays."
 	$(BIN)/pmbm run $(DEMO) --trials 20 --seed $(DEMO_SEED) --jobs 2 --page demo
 
 test: $(STAMP)

@@ -90,7 +90,7 @@ class InputError(ValueError):
         return _rebuild, (type(self), dict(self.__dict__))
 
 
-_NEAR: Final = 0.6
+_NEAR: Final = 0.56
 """Likeness from which on a name may be what another was meant to be."""
 
 

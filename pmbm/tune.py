@@ -150,6 +150,7 @@ class Tuned:
     value: float
     default_value: float
     attempts: tuple[Attempt, ...]
+    interrupted: bool = False
 
 
 Objective = Callable[[Mapping[str, Any]], float | None]
@@ -178,6 +179,8 @@ def tune(
     seed : of the sampler.
     defaults : the defaults' values, as far as known: where they lie in the space, the search
         learns from them, too.
+
+    An interrupt (Ctrl-C) after the defaults' evaluation ends the search with what it has.
 
     Raises InputError where Optuna is not installed, and where the objective has no value with the
     defaults.
@@ -209,7 +212,10 @@ def tune(
         parameters = MappingProxyType(
             {name: _meant(space[name], trial.params[name]) for name in space}
         )
-        value = _value(objective(parameters))
+        try:
+            value = _value(objective(parameters))
+        except KeyboardInterrupt:
+            return Tuned(best.parameters, best.value, default_value, tuple(attempts), True)
         attempts.append(Attempt(parameters, value))
         if value is None:
             # Pruned ones count as worse than all; failed ones would not count at all.

@@ -1,6 +1,6 @@
 """The command line: one module a command, loaded when it is called.
 
-Exit codes: 0 done, 1 a gate failed or a study has failing trials, 2 bad input, 3 undecided.
+Exit codes: 0 done, 1 a gate failed or trials failed, 2 bad input, 3 undecided, 130 stopped.
 """
 
 from __future__ import annotations
@@ -36,6 +36,10 @@ COMMANDS = {
     "cache": "The simulated scenes kept on disk: show, list, clear.",
 }
 """Name -> one-line help; `pmbm/cli/NAME.py` (dashes as underscores) holds `command`."""
+
+
+INTERRUPTED = 130
+"""Exit code of what was stopped by Ctrl-C; what it had is kept."""
 
 
 class _LazyGroup(click.Group):
@@ -115,7 +119,7 @@ def main(arguments: list[str] | None = None) -> Any:
         sys.exit(2)
     except (click.Abort, KeyboardInterrupt):
         _complain("stopped")
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
     except OSError as error:
         # Places to write are the user's to choose; a place that refuses is bad input.
         what = error.strerror or str(error)

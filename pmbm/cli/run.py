@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import settings
+from pmbm.cli import INTERRUPTED, settings
 from pmbm.wording import counted
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def command(
     from pmbm.errors import InputError
     from pmbm.reports.render import run_page
     from pmbm.reports.replays import problems
-    from pmbm.study import summarise
+    from pmbm.study import TrialsInterrupted, summarise
     from pmbm.tracking import tracker_factory
 
     if replay_trial >= trials:
@@ -144,17 +144,30 @@ def command(
             story_of(source, name, factories[name], seed, replay_trial, explain)
             for source in sources
         ]
-    figures, sections, failed = [], [], False
+    figures, sections, failed, stopped = [], [], False, False
     for source in sources:
-        results = _run(source, named, seed, trials, jobs, quiet=json_file == "-")
+        results: Sequence[TrialResult]
+        try:
+            results = _run(source, named, seed, trials, jobs, quiet=json_file == "-")
+        except TrialsInterrupted as interrupt:
+            results, stopped = interrupt.results, True
+            click.echo(f"pmbm: stopped: {source.name} has {len(results)} of {trials}", err=True)
+            if not results:
+                break
         summary = summarise(results)
-        figures.append(_figures(source.name, trials, seed, summary))
+        figures.append(_figures(source.name, len(results), seed, summary))
         wrong = problems(results)
-        sections.append(_section(source, named, seed, replay_trial, summary, with_maps, wrong))
+        # Who is in a hurry gets no replay, which takes another trial.
+        shown = None if stopped else replay_trial
+        sections.append(_section(source, named, seed, shown, summary, with_maps, wrong))
         _show(source.name, summary, results, to_stderr=json_file == "-")
         for line in wrong:
             click.echo(f"{source.name}: {line}", err=True)
         failed |= bool(wrong)
+        if stopped:
+            break
+    if not sections:
+        return INTERRUPTED
 
     repeat = shlex.join(["pmbm", *_arguments()])
     title = sources[0].name if len(sources) == 1 else (page or "run")
@@ -168,7 +181,7 @@ def command(
             click.echo(text)
         else:
             replace_text(json_target, text + "\n")
-    return 1 if failed else 0
+    return INTERRUPTED if stopped else int(failed)
 
 
 def _arguments() -> Sequence[str]:
@@ -231,7 +244,7 @@ def _section(
     source: Any,
     trackers: Mapping[str, Any],
     seed: int,
-    trial: int,
+    trial: int | None,
     summary: Summary,
     with_maps: bool,
     wrong: tuple[str, ...],
@@ -239,13 +252,15 @@ def _section(
     from pmbm.reports.replays import trial_replay
     from pmbm.reports.values import Section
 
-    replay, _ = trial_replay(source, trackers, seed, trial, with_maps=with_maps)
+    replay = None
+    if trial is not None:
+        replay, _ = trial_replay(source, trackers, seed, trial, with_maps=with_maps)
     return Section(
         name=source.name,
         stresses=getattr(source, "stresses", ""),
         summary=summary,
         replay=replay,
-        provenance=replay.recording.provenance,
+        provenance={} if replay is None else replay.recording.provenance,
         problems=wrong,
     )
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli import INTERRUPTED
 from pmbm.wording import counted, duration
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def command(
         except KeyboardInterrupt:
             again = shlex.join(["pmbm", "study", str(file), "--store", str(store)])
             click.echo(f"pmbm: stopped; what is done is stored, resume with: {again}", err=True)
-            return 130
+            return INTERRUPTED
     return _finish(study, file, store, done, export_file)
 
 
@@ -179,6 +180,10 @@ def _progress(study: Study) -> Iterator[Any]:
         TimeRemainingColumn,
     )
 
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _line_now_and_then(study.name)
+        return
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -186,7 +191,7 @@ def _progress(study: Study) -> Iterator[Any]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(study.name, total=len(study))
 
         def tell(progress: Any) -> None:
@@ -196,6 +201,28 @@ def _progress(study: Study) -> Iterator[Any]:
             bar.update(task, completed=progress.done, description=name)
 
         yield tell
+
+
+_LINE_EVERY = 30.0
+"""s between two lines of progress where there is no terminal."""
+
+
+def _line_now_and_then(name: str) -> Any:
+    """Says how far a study is, for the log of whatever runs it."""
+    import time
+
+    said = time.monotonic()
+
+    def tell(progress: Any) -> None:
+        nonlocal said
+        if time.monotonic() - said < _LINE_EVERY:
+            return
+        said = time.monotonic()
+        failed = f", {progress.failed} failed" if progress.failed else ""
+        trials = counted(progress.total, "trial")
+        click.echo(f"{name}: {progress.done} of {trials}{failed}", err=True)
+
+    return tell
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import dataset_options
+from pmbm.cli import INTERRUPTED, dataset_options
 from pmbm.cli.dataset_options import FILE
 from pmbm.cli.many import ManyValues
 
@@ -108,7 +108,7 @@ def command(
     seed: int,
     jobs: int,
     out: Path | None,
-) -> None:
+) -> int:
     """Search a tracker's parameters on simulated recordings of SCENARIOs, then compare them with
     the defaults on recordings of another seed; or search on a dataset's sequences by its own rule.
     Seeds and sequences that are kept for reporting are refused.
@@ -186,7 +186,9 @@ def command(
             )
         gains: Gains = []
         verdict = "Nothing beat the defaults."
-        if tuned.parameters and isinstance(problem, Logged):
+        if tuned.interrupted:
+            verdict = "Stopped: nothing was compared on held-back recordings."
+        elif tuned.parameters and isinstance(problem, Logged):
             verdict = problem.advice
         elif tuned.parameters and isinstance(problem, Simulated):
             gains, verdict = _held_back(problem, tuned, seed, held_back)
@@ -197,7 +199,9 @@ def command(
     _show(problem.metric, present, tuned, gains, to_stderr=out is None)
     for line in (found, verdict):
         click.echo(line, err=out is None)
-    what = f"The {tracker_name} tracker's best of {trials} sets of parameters, seed {seed}."
+    tried = len(tuned.attempts)
+    of = f" (of {trials}: stopped)" if tuned.interrupted else ""
+    what = f"The {tracker_name} tracker's best of {tried} sets of parameters{of}, seed {seed}."
     document = problem.document(tuned.parameters or present)
     text = _comment(what, found, verdict, made_with("optuna"), "Made by:") + toml_text(document)
     if out is None:
@@ -205,6 +209,7 @@ def command(
     else:
         replace_text(out, text)
         click.echo(out)
+    return INTERRUPTED if tuned.interrupted else 0
 
 
 def _value(problem: Simulated | Logged, parameters: Mapping[str, Any]) -> float | None:

@@ -2,7 +2,7 @@
 
 from pmbm.study.configured import ConfiguredTracker, follow
 from pmbm.study.jackknife import Difference, jackknife_difference
-from pmbm.study.parallel import run_trials
+from pmbm.study.parallel import TrialsInterrupted, run_trials
 from pmbm.study.results import StudyResults, export, load_results
 from pmbm.study.runner import Progress, run_study
 from pmbm.study.sources import NamedSource, Source, is_named_source, recorded
@@ -25,6 +25,7 @@ __all__ = [
     "Summary",
     "TrackerError",
     "TrialResult",
+    "TrialsInterrupted",
     "estimate",
     "export",
     "follow",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from typing import Any
@@ -27,6 +28,14 @@ _THREAD_COUNTS = (
 _SAFE_PATH = "PYTHONSAFEPATH"
 WORKER_ENVIRONMENT = {**dict.fromkeys(_THREAD_COUNTS, "1"), _SAFE_PATH: "1"}
 """Of a worker: one process a core, sums in one order, and no import from the current folder."""
+
+
+class TrialsInterrupted(KeyboardInterrupt):
+    """An interrupt, with the results of the trials that were done."""
+
+    def __init__(self, results: Sequence[TrialResult]) -> None:
+        super().__init__()
+        self.results = tuple(results)
 
 
 def process_pool(
@@ -65,6 +74,8 @@ def _start_resource_trackers() -> None:
 
 
 def _begin(initializer: Callable[..., None] | None, *arguments: Any) -> None:
+    # The driver is interrupted, and ends its workers: none of them has anything to say of it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     # It was for this process, not for programs that trackers start.
     os.environ.pop(_SAFE_PATH, None)
     if initializer is not None:
@@ -83,16 +94,19 @@ def run_trials(
     """Trials 0 to `trials` - 1 in order; the results do not depend on `jobs`.
 
     With `jobs` = 1 they run in this process.  What a trial raises is raised here, and ends the
-    workers; an interrupt too.
+    workers.  An interrupt (Ctrl-C) does too, as `TrialsInterrupted`, which holds what is done.
     """
     tell = progress or (lambda done, total: None)
     tell(0, trials)
+    results: list[TrialResult] = []
     if jobs == 1 or trials == 1:
-        results = []
-        with threadpool_limits(limits=1):
-            for trial in range(trials):
-                results.append(run_trial(source, trackers, seed, trial, metrics))
-                tell(trial + 1, trials)
+        try:
+            with threadpool_limits(limits=1):
+                for trial in range(trials):
+                    results.append(run_trial(source, trackers, seed, trial, metrics))
+                    tell(trial + 1, trials)
+        except KeyboardInterrupt:
+            raise TrialsInterrupted(results) from None
         return results
     pool = process_pool(min(jobs, trials))
     try:
@@ -104,6 +118,10 @@ def run_trials(
             future.result()
             tell(done, trials)
         results = [future.result() for future in futures]
+    except KeyboardInterrupt:
+        results = [f.result() for f in futures if f.done() and f.exception() is None]
+        pool.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
+        raise TrialsInterrupted(results) from None
     except BaseException:
         pool.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
         raise

@@ -248,6 +248,18 @@ def test_the_json_schema_knows_every_key_of_the_catalogue():
     assert described["required"] == ["name", "stresses"]
 
 
+def test_an_editor_shows_a_description_of_every_key():
+    described = schema.json_schema()
+    forms = {"scenario": described, **described["$defs"]}
+    silent = [
+        f"{name}.{key}"
+        for name, form in forms.items()
+        for key, one in form.get("properties", {}).items()
+        if len(one.get("description", "")) < 2 and "const" not in one
+    ]
+    assert silent == []
+
+
 def test_every_file_of_the_catalogue_says_what_it_stresses():
     for name in scenario_names():
         path = catalogue_folder() / f"{name}.toml"
