@@ -486,6 +486,12 @@ class Site:
             hint=nearest_hint(name, names, "sensor"),
         )
 
+    def carrier_pose(self, detections: Detections) -> FloatArray:
+        """The pose (3,) of what carries the sensor of these detections, which is that sensor's
+        where there is only one."""
+        mounted, pose = self.sensor(detections.sensor), detections.sensor_pose
+        return pose if mounted is None else mounted.carrier_of(pose)
+
     @property
     def latency(self) -> float:
         """Of the slowest sensor, s."""

@@ -7,7 +7,7 @@ import io
 import logging
 from collections.abc import Iterable, Iterator
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import shapely
@@ -74,8 +74,28 @@ def colours_of(dark: bool) -> dict[str, str]:
     return DARK if dark else LIGHT
 
 
+_Dashes = Literal["-", "--", ":", "-."]
+_DASHES: tuple[_Dashes, ...] = ("-", "--", ":", "-.")
+"""Of the boxes of one sensor after the other."""
+
+
+def _sensor_styles(site: Site) -> list[tuple[str, _Dashes]]:
+    """What a legend says of detections, by sensor where there are several, and their lines."""
+    if not site.sensors:
+        return [("detection", "-")]
+    return [
+        (f"detection, {one.name}", _DASHES[number % len(_DASHES)])
+        for number, one in enumerate(site.sensors)
+    ]
+
+
 def add_legend(
-    figure: Figure, colours: dict[str, str], *, tracks: bool, unknown: bool = False
+    figure: Figure,
+    colours: dict[str, str],
+    site: Site,
+    *,
+    tracks: bool,
+    unknown: bool = False,
 ) -> None:
     """One quiet line under the picture that says what the marks are."""
     from matplotlib.lines import Line2D
@@ -85,7 +105,10 @@ def add_legend(
     entries: list[Any] = [
         Patch(facecolor=colours["truth-fill"], **edge, label="true object"),
         Patch(facecolor="none", **edge, linestyle="--", label="hidden"),
-        Patch(facecolor="none", edgecolor=colours["detection"], label="detection"),
+        *(
+            Patch(facecolor="none", edgecolor=colours["detection"], label=label, linestyle=dashes)
+            for label, dashes in _sensor_styles(site)
+        ),
         Patch(facecolor=colours["unseen"], label="cannot be seen"),
     ]
     if unknown:
@@ -248,7 +271,8 @@ class ScenePanel:
             right = outline[3] + 0.28 * (outline[2] - outline[3])
             self._axes.plot(*zip(left, right, strict=True), color=edge, linewidth=0.8, zorder=4)
 
-    def detections(self, detections: Detections) -> None:
+    def detections(self, detections: Detections, sensor: int = 0) -> None:
+        """Boxes, the surer the stronger, of the sensor of that number."""
         outlines = corners(detections.position, detections.size, detections.yaw)
         for outline, score in zip(outlines, detections.score, strict=True):
             self._polygons(
@@ -257,6 +281,7 @@ class ScenePanel:
                 facecolor="none",
                 edgecolor=self._colours["detection"],
                 linewidth=0.9,
+                linestyle=_DASHES[sensor % len(_DASHES)],
                 alpha=0.35 + 0.65 * float(score),
             )
 

@@ -164,6 +164,11 @@ def _detections(recording: Recording, centre: FloatArray, blob: _Blob) -> dict[s
         origin[~clutter] = which
     order = np.lexsort((rows, origin))
     pick = _Picker(deliveries, order)
+    names = [one.name for one in recording.site.sensors]
+    sensors = {}
+    if names:
+        number = [(names.index(value.sensor), len(value)) for _, value in deliveries]
+        sensors = {"sensor": (_stack(number)[order], 1)}
     return {
         "origins": None if recording.origin is None else [str(i) for i in known.tolist()],
         **blob.table(
@@ -171,6 +176,7 @@ def _detections(recording: Recording, centre: FloatArray, blob: _Blob) -> dict[s
             origin=(origin[order], 1),
             **_box_columns(pick, centre),
             score=(pick("score"), SHARE),
+            **sensors,
         ),
     }
 
@@ -257,12 +263,13 @@ def _undetected(
 
 
 def _poses(recording: Recording, centre: FloatArray, blob: _Blob) -> dict[str, Any]:
-    """Where the sensor was in each frame; the nearest delivery's pose where one is missing."""
+    """Where the sensor was in each frame, or the carrier of several; the nearest delivery's pose
+    where one is missing."""
     pose = np.zeros((len(recording), 3))
     if len(recording.detections):
         order = np.argsort(recording.frame, kind="stable")
         frames = recording.frame[order]
-        given = np.array([recording.detections[d].sensor_pose for d in order])
+        given = np.array([recording.site.carrier_pose(recording.detections[d]) for d in order])
         last = np.clip(
             np.searchsorted(frames, np.arange(len(recording)), side="right") - 1, 0, None
         )
@@ -285,6 +292,16 @@ def _site(recording: Recording, centre: FloatArray) -> dict[str, Any]:
         "fovCentre": site.fov_centre,
         "fovHalf": site.fov_half_angle,
         "occluders": rings(site.occluders),
+        "sensors": [
+            {
+                "name": one.name,
+                "mount": np.round(one.mount, 4).tolist(),
+                "range": one.max_range,
+                "fovCentre": one.fov_centre,
+                "fovHalf": one.fov_half_angle,
+            }
+            for one in site.sensors
+        ],
         "drivable": None if site.drivable_area is None else rings(site.drivable_area),
     }
 

@@ -70,7 +70,7 @@ def scene_picture(
                 panel.caption(name, colour)
         when = f"{recording.name}, {recording.truth[frame].time:.1f} s"
         axes[0].set_title(when, loc="right", color=colours_of(dark)["soft"], fontsize=8, pad=6)
-        add_legend(figure, colours_of(dark), tracks=bool(panels))
+        add_legend(figure, colours_of(dark), recording.site, tracks=bool(panels))
     return figure
 
 
@@ -123,7 +123,7 @@ def hidden_traffic_picture(
         when = f"{recording.name}, {recording.truth[frame].time:.1f} s"
         axes.set_title(when, loc="right", color=colours["soft"], fontsize=8, pad=6)
         add_heat_scale(axes, colours)
-        add_legend(figure, colours, tracks=True, unknown=True)
+        add_legend(figure, colours, recording.site, tracks=True, unknown=True)
     return figure
 
 
@@ -192,8 +192,10 @@ def draw_world(panel: ScenePanel, recording: Recording, frame: int) -> None:
     panel.site(recording.site)
     panel.unseen(truth, recording.site, pose)
     panel.truth(truth)
+    names = [one.name for one in recording.site.sensors]
     for delivery in np.flatnonzero(recording.frame == frame):
-        panel.detections(recording.detections[delivery])
+        seen = recording.detections[delivery]
+        panel.detections(seen, names.index(seen.sensor) if names else 0)
     panel.sensor(pose)
     panel.scale_bar()
 
@@ -221,11 +223,12 @@ def report_at(sequence: TrackSequence, frame: int) -> Tracks | None:
 
 
 def sensor_pose(recording: Recording, frame: int) -> FloatArray:
-    """Where the sensor was: of the frame's delivery, or of the nearest one."""
+    """Where the sensor was, or the carrier of several: of the frame's delivery, or of the nearest
+    one."""
     if not len(recording.detections):
         return np.zeros(3)
     nearest = int(np.abs(recording.frame - frame).argmin())
-    return recording.detections[nearest].sensor_pose
+    return recording.site.carrier_pose(recording.detections[nearest])
 
 
 def traffic_extent(recording: Recording, frame: int) -> Extent:

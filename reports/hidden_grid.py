@@ -59,7 +59,8 @@ def hidden_grid(
     # The sensor stands anywhere in the middle cell.
     cell = float(np.ceil(100 * width / (n - 2)) / 100)
     pose = {
-        int(f): d.sensor_pose for f, d in zip(recording.frame, recording.detections, strict=True)
+        int(f): recording.site.carrier_pose(d)
+        for f, d in zip(recording.frame, recording.detections, strict=True)
     }
     corner = np.zeros((len(steps), 2), np.int64)
     code = np.zeros((len(steps), n, n), np.uint8)

@@ -9,13 +9,13 @@ import shapely
 from numpy.typing import ArrayLike
 
 from pmbm.geometry import corners, wrap_angle
-from pmbm.types import FloatArray, GroundTruth, Site
+from pmbm.types import FloatArray, GroundTruth, MountedSensor, Site
 
 _ARC = 0.03
 """rad between the points of an arc."""
 
 
-def field_of_view(site: Site, pose: ArrayLike) -> shapely.Geometry:
+def field_of_view(site: Site | MountedSensor, pose: ArrayLike) -> shapely.Geometry:
     """The sector or disc that the sensor at `pose` = (x, y, yaw) looks at."""
     x, y, yaw = np.asarray(pose, dtype=np.float64)
     half = site.fov_half_angle
@@ -50,7 +50,9 @@ def shadow(polygon: ArrayLike, eye: ArrayLike, reach: float) -> shapely.Geometry
 
 def hidden_region(truth: GroundTruth, site: Site, pose: ArrayLike) -> shapely.Geometry:
     """What is in the field of view but behind an object or an occluder, without the objects'
-    and occluders' own areas."""
+    and occluders' own areas; of several sensors on a carrier at `pose`, what none of them sees."""
+    if site.sensors:
+        return _hidden_from_all(truth, site, np.asarray(pose, dtype=np.float64))
     blockers = [*corners(truth.position, truth.size, truth.yaw), *site.occluders]
     eye = np.asarray(pose, dtype=np.float64)[:2]
     reach = site.max_range * 1.1
@@ -58,6 +60,18 @@ def hidden_region(truth: GroundTruth, site: Site, pose: ArrayLike) -> shapely.Ge
     solid = shapely.union_all([shapely.Polygon(outline) for outline in blockers])
     seen = field_of_view(site, pose)
     return shapely.difference(shapely.intersection(shades, seen), solid)
+
+
+def _hidden_from_all(truth: GroundTruth, site: Site, carrier: FloatArray) -> shapely.Geometry:
+    blockers = [*corners(truth.position, truth.size, truth.yaw), *site.occluders]
+    solid = shapely.union_all([shapely.Polygon(outline) for outline in blockers])
+    seen = []
+    for one in site.sensors:
+        eye = one.pose_on(carrier)
+        shades = [shadow(outline, eye[:2], one.max_range * 1.1) for outline in blockers]
+        seen.append(shapely.difference(field_of_view(one, eye), shapely.union_all(shades)))
+    hidden = shapely.difference(field_of_view(site, carrier), shapely.union_all(seen))
+    return shapely.difference(hidden, solid)
 
 
 def rings(region: shapely.Geometry) -> Iterable[FloatArray]:

@@ -84,7 +84,7 @@ def form_frame(
         )
     dt = 0.0 if last is None else detections.time - last
     pose, mounted = detections.sensor_pose, site.sensor(detections.sensor)
-    region = View.of(site, pose if mounted is None else mounted.carrier_of(pose))
+    region = View.of(site, site.carrier_pose(detections))
     sensor = model.sensor_named(detections.sensor)
     detection = sensor.detection
     if mounted is not None and len(site.sensors) > 1:

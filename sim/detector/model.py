@@ -133,7 +133,8 @@ class DetectorModel:
         if self.sensor.ego_position_noise > 0 or self.sensor.ego_yaw_noise > 0:
             pose = reported_pose(self.sensor, scene, streams)
             boxes = moved(boxes, scene.sensor_pose, pose)
-        delivered = arrivals(self.sensor, len(scene), streams)
+        time = np.array([truth.time for truth in scene.truth])
+        delivered = arrivals(self.sensor, time, streams)
         frames = _by_frame(boxes, scene, pose, sensor, radial, sensor_velocity)
         deliveries = [frames[frame] for frame in delivered]
         made = {

@@ -73,7 +73,7 @@ def replay(recording: Recording, *, shadows: bool = False) -> Scene:
 def _poses(recording: Recording, time: FloatArray) -> FloatArray:
     """The sensor's pose (F,3) at the times of the truth."""
     frame, first = np.unique(recording.frame, return_index=True)
-    known = np.array([recording.detections[delivery].sensor_pose for delivery in first])
+    known = np.array([recording.site.carrier_pose(recording.detections[d]) for d in first])
     known[:, 2] = np.unwrap(known[:, 2])
     return np.stack([np.interp(time, time[frame], column) for column in known.T], axis=1)
 

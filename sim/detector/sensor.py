@@ -23,6 +23,7 @@ class SensorModel:
     outage_start, outage_duration : s; for so long a sector is blind.  A blind sector reports
         nothing; with all of the view blind (a blackout) the frames are delivered empty.
     outage_centre, outage_half_angle : the sector, relative to the sensor's yaw, rad.
+    fails_at : s from which on nothing is delivered at all; None, never.
     drop_probability : of a frame that is never delivered: no step at all, unlike an empty frame.
     late_probability, late_by : of a frame that comes late, after this many later frames.
     time_jitter : standard deviation, s, of the moment of measurement about its time stamp.
@@ -34,6 +35,7 @@ class SensorModel:
     outage_duration: Annotated[float, NOT_NEGATIVE] = 0.0
     outage_centre: Annotated[float, Bounds()] = 0.0
     outage_half_angle: Annotated[float, Bounds(0.0, float(np.pi))] = float(np.pi)
+    fails_at: Annotated[float | None, NOT_NEGATIVE] = None
     drop_probability: Annotated[float, SHARE] = 0.0
     late_probability: Annotated[float, SHARE] = 0.0
     late_by: Annotated[int, Bounds(1)] = 2
@@ -48,14 +50,18 @@ class SensorModel:
 SensorModel.__pydantic_config__ = NO_UNKNOWN_KEYS  # type: ignore[attr-defined]
 
 
-def arrivals(model: SensorModel, frames: int, streams: Streams) -> IntArray:
-    """The frames that are delivered (D,), in order of arrival."""
+def arrivals(model: SensorModel, time: FloatArray, streams: Streams) -> IntArray:
+    """The frames that are delivered (D,), in order of arrival; time (F,) is that of each, s."""
+    frames = len(time)
     drop, late, _ = streams.uniforms(Purpose.DROPOUT, frames, 3).T
     number = np.arange(frames)
     # Half a frame later than the last one that overtakes it.
     arrival = number + np.where(late < model.late_probability, model.late_by + 0.5, 0.0)
     order = np.argsort(arrival, kind="stable")
-    return order[drop[order] >= model.drop_probability]
+    delivered = drop >= model.drop_probability
+    if model.fails_at is not None:
+        delivered &= time < model.fails_at
+    return order[delivered[order]]
 
 
 def clock_error(model: SensorModel, frames: int, streams: Streams) -> FloatArray:

@@ -59,6 +59,7 @@ LATE = {
     "death_exit": 20.0,
     "sensor_dropout": 12.0,
     "sector_loss": 12.0,
+    "sensor_failure": 12.0,
 }
 """Seconds until a factor shows, where it does not in the first three."""
 

@@ -15,7 +15,8 @@ LAYERS = [
     | {"pmbm.kernels", "pmbm.seeding", "pmbm.tables", "pmbm.wording"},
     {"pmbm.assignment", "pmbm.filter", "pmbm.baselines", "pmbm.metrics", "pmbm.datasets"}
     | {"pmbm.fitting"},
-    {"pmbm.named_modules", "pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"},
+    {"pmbm.named_modules", "pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"}
+    | {"pmbm.by_sensor"},
     {"pmbm.sim"},
     {"pmbm.reports"},
     {"pmbm.testing"},

@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+import shapely
 
 from pmbm import InputError, run
 from pmbm.sim.scenario.scenario import Scenario
@@ -109,6 +110,13 @@ def test_a_slow_delivery_arrives_late_and_is_waited_for():
     tracks = run(tracker_factory("pmbm")(site=recording.site), recording)
     assert tracks.dropped == 0
     assert tracks.frame.tolist() == list(range(40))
+
+
+def test_a_sensor_that_fails_delivers_nothing_more():
+    fails = {"detector": {"profile": "perfect", "sensor": {"fails_at": 1.5}}}
+    recording = scenario({"sure": {}, "fails": fails}).record(1)
+    assert [one.time for _, one, _ in of(recording, "fails")] == [k / 10 for k in range(15)]
+    assert len(of(recording, "sure")) == 40
 
 
 def test_what_comes_later_than_the_slowest_is_dropped():
@@ -287,3 +295,54 @@ def test_a_mount_takes_a_pose_there_and_back():
         sensor = MountedSensor(name="a", mount=rng.normal(0, 2, 3))
         carrier = rng.normal(0, 3, 3)
         np.testing.assert_allclose(sensor.carrier_of(sensor.pose_on(carrier)), carrier, atol=1e-12)
+
+
+def test_the_replay_says_which_sensor_gave_what():
+    from pmbm.reports.encode import encode_replay
+    from pmbm.reports.values import ReplayPage
+
+    recording = scenario(
+        {"front": {"fov_deg": 90.0}, "rear": {"mount": [-2.0, 0.0, 180.0]}}
+    ).record(0)
+    tracks = run(tracker_factory("pmbm")(site=recording.site), recording)
+    page = encode_replay(ReplayPage(recording=recording, tracks={"pmbm": tracks}))
+    assert [one["name"] for one in page["site"]["sensors"]] == ["front", "rear"]
+    assert page["site"]["sensors"][1]["mount"] == [-2.0, 0.0, 3.1416]
+    given = page["detections"]
+    assert "sensor" in given["columns"]
+    assert given["rows"] == sum(len(one) for one in recording.detections)
+
+
+def test_hidden_is_what_no_sensor_sees():
+    """A wall ahead of the bumper, and a mast that sees behind it."""
+    from pmbm.reports.shadows import hidden_region
+    from pmbm.types import GroundTruth, Site
+
+    empty = {name: np.zeros((0, 3)) for name in ("position", "size")}
+    nothing = GroundTruth(
+        time=0.0, id=[], yaw=[], velocity=np.zeros((0, 2)), label=[], visibility=[],
+        observable=[], crashed=[], **empty,
+    )  # fmt: skip
+    wall = np.array([[10.0, -3.0], [11.0, -3.0], [11.0, 3.0], [10.0, 3.0]])
+    bumper = MountedSensor(name="bumper", max_range=50.0)
+    mast = MountedSensor(name="mast", mount=np.array([0.0, 30.0, 0.0]), max_range=50.0)
+
+    def hides(sensors, x, y):
+        site = Site(max_range=80.0, occluders=(wall,), sensors=sensors)
+        return shapely.intersects_xy(hidden_region(nothing, site, np.zeros(3)), x, y)
+
+    assert hides((bumper,), 20.0, 0.0)
+    assert not hides((bumper, mast), 20.0, 0.0)
+    assert hides((bumper, mast), -70.0, 0.0)
+
+
+def test_the_picture_names_the_sensors():
+    from pmbm.reports.figures import scene_picture
+
+    recording = scenario(
+        {"front": {"fov_deg": 90.0}, "rear": {"mount": [-2.0, 0.0, 180.0]}}
+    ).record(0)
+    tracks = run(tracker_factory("pmbm")(site=recording.site), recording)
+    figure = scene_picture(recording, {"pmbm": tracks}, 10)
+    said = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert {"detection, front", "detection, rear"} <= set(said)

@@ -147,7 +147,8 @@ const pointerWork = {
       lines.push(`${label}, ${speed()}, ${seen}`);
       if (table.flags[row] & 2) lines.push("has crashed");
     } else if (table === data.detections) {
-      title = `detection, score ${table.score[row].toFixed(2)}`;
+      const sensor = table.sensor ? ` of ${data.site.sensors[table.sensor[row]].name}` : "";
+      title = `detection${sensor}, score ${table.score[row].toFixed(2)}`;
       const origin = table.origin[row];
       if (table.origins) lines.push(origin < 0 ? `${label}; in truth: clutter` : `${label}; in truth: object ${table.origins[origin]}`);
       else lines.push(label);

@@ -1,5 +1,9 @@
 // The road from above: one drawing of one frame with one tracker's report.
 
+// Of the boxes and the field of view of one sensor after the other.
+const DASHES = [[], [5, 3], [2, 2], [7, 3, 2, 3]];
+const dashesOf = (number) => DASHES[number % DASHES.length];
+
 class Camera {
   constructor() {
     Object.assign(this, { x: 0, y: 0, scale: 6, width: 1, height: 1 });
@@ -83,16 +87,28 @@ class Scene {
     c.fill("nonzero");
   }
 
-  sector() {
-    const { range, fovCentre, fovHalf } = this.data.site;
-    const [x, y] = this.camera.toScreen(this.eye[0], this.eye[1]);
+  // What looks: the one sensor, or each of several from its own mount, with its dashes.
+  views() {
+    const { site } = this.data;
+    if (!site.sensors.length) return [{ ...site, eye: this.eye, dashes: [] }];
+    const [x, y, yaw] = this.eye;
+    const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
+    return site.sensors.map((sensor, number) => {
+      const [ahead, left, turn] = sensor.mount;
+      const eye = [x + ahead * cos - left * sin, y + ahead * sin + left * cos, yaw + turn];
+      return { ...sensor, eye, dashes: dashesOf(number) };
+    });
+  }
+
+  sector({ range, fovCentre, fovHalf } = this.data.site, eye = this.eye) {
+    const [x, y] = this.camera.toScreen(eye[0], eye[1]);
     const c = this.context;
     const radius = range * this.camera.scale;
     if (fovHalf >= Math.PI - 1e-6) {
       c.moveTo(x + radius, y);
       c.arc(x, y, radius, 0, 2 * Math.PI);
     } else {
-      const middle = -(this.eye[2] + fovCentre);
+      const middle = -(eye[2] + fovCentre);
       c.moveTo(x, y);
       c.arc(x, y, radius, middle - fovHalf, middle + fovHalf);
       c.closePath();
@@ -106,29 +122,39 @@ class Scene {
     this.sector();
     c.fillStyle = this.colours.unseen;
     c.fill("evenodd");
-    c.beginPath();
-    this.sector();
+    c.save();
     c.strokeStyle = this.colours.line;
     c.lineWidth = 1;
-    c.stroke();
+    for (const view of this.views()) {
+      c.setLineDash(view.dashes);
+      c.beginPath();
+      this.sector(view, view.eye);
+      c.stroke();
+    }
+    c.restore();
   }
 
   shadows(frame) {
     const { truth, site } = this.data;
     const c = this.context;
-    c.save();
-    c.beginPath();
-    this.sector();
-    c.clip();
-    c.beginPath();
     const outlines = truth.at[frame].map((row) => boxCorners(truth, row)).concat(site.occluders);
-    for (const outline of outlines) {
-      const shade = shadowOf(outline, this.eye, site.range * 1.1);
-      if (shade) this.path(shade);
+    const views = this.views();
+    for (const view of views) {
+      c.save();
+      // The darker, the fewer of the sensors see it.
+      c.globalAlpha = 1 / views.length;
+      c.beginPath();
+      this.sector(view, view.eye);
+      c.clip();
+      c.beginPath();
+      for (const outline of outlines) {
+        const shade = shadowOf(outline, view.eye, view.range * 1.1);
+        if (shade) this.path(shade);
+      }
+      c.fillStyle = this.colours.unseen;
+      c.fill("nonzero");
+      c.restore();
     }
-    c.fillStyle = this.colours.unseen;
-    c.fill("nonzero");
-    c.restore();
   }
 
   rings() {
@@ -217,6 +243,7 @@ class Scene {
     c.strokeStyle = this.colours.detection;
     c.fillStyle = this.colours.detection;
     c.lineWidth = 1.4;
+    if (detections.sensor) c.setLineDash(dashesOf(detections.sensor[row]));
     c.beginPath();
     this.path(boxCorners(detections, row));
     c.stroke();
