@@ -650,7 +650,7 @@ class Recording:
         return _make_recording, (values,)
 
     def to_tables(self) -> dict[str, pd.DataFrame]:
-        """Truth, detections and poses as tables, one row a box; docs/tables.md names the columns.
+        """Truth, detections and poses as tables, one row a box (columns: docs/guide/tables.md).
 
         Names of objects that are in no frame are left out.
         Raises InputError where some deliveries have raw scores and others have not, and where one

@@ -230,7 +230,7 @@ def _markdown(title: str, tables: Sequence[_Table], metric: str) -> str:
     lines = [
         f"{title}. The last column: {metric} of {first} less that of the row, its 95 % interval "
         "by a jackknife over the sequences, which falls short where a few of them are far from the "
-        "others (docs/intervals.md)"
+        "others (docs/guide/intervals.md)"
         + (f"; for a row '{WITHOUT_POSES[2:]}', of the same tracker with them." if bare else "."),
     ]
     for table in tables:

@@ -60,7 +60,7 @@ def command(
     sequences: tuple[str, ...],
 ) -> None:
     """Write recordings as tables: truth, detections and poses, one row a box, and table.toml; what
-    the dataset `table` reads of them has the same bits (docs/tables.md).
+    the dataset `table` reads of them has the same bits (docs/guide/tables.md).
 
     \b
     Examples:

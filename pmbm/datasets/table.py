@@ -1,4 +1,4 @@
-"""A user's own logs: CSV or Parquet tables of boxes, a file a sequence; see docs/tables.md."""
+"""A user's own logs: CSV or Parquet tables of boxes, a file a sequence (docs/guide/tables.md)."""
 
 from __future__ import annotations
 

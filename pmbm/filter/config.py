@@ -37,7 +37,8 @@ class Reduction:
         does one that a single frame gives more than 300,000 ways to pair tracks and detections.
     prune_hypothesis : global hypotheses of a weight up to this are dropped.
     recycle_below : Bernoullis of an existence below this leave the mixture.  Where clutter is dense
-        and objects are often missed, .1 keeps the number of objects right (docs/presets.md).
+        and objects are often missed, .1 keeps the number of objects right
+        (docs/results/presets.md).
     recycle : whether these become PPP components, or are forgotten.
     prune_undetected : PPP components of a weight up to this are dropped.
     max_tracks, max_undetected : tracks and PPP components kept.
@@ -170,7 +171,8 @@ class PMBMConfig:
         """The three deviations of Pang & Radha (2021, Sec. 2.6) from the textbook: scores in the
         first detection, P_D from past scores, and misses that scale existence and weight.
 
-        What each does on its own is measured by `studies/preset_options.toml`; docs/presets.md.
+        What each does on its own is measured by `studies/preset_options.toml`
+        (docs/results/presets.md).
         """
         return cls(
             sensor=Sensor(

@@ -76,12 +76,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("ids", nargs="*", metavar="ID", help=f"of {', '.join(BARS)}")
     parser.add_argument("--out", type=Path, default=Path("reports"))
+    parser.add_argument("--page", type=Path, help="write the record's page, and measure nothing")
     options = parser.parse_args()
     unknown = [name for name in options.ids if name not in BARS]
     if unknown:
         parser.error(f"no bar {unknown[0]}; there are {', '.join(BARS)}")
     file = options.out / "benchmarks.json"
     rows = {row["id"]: row for row in json.loads(file.read_text())["rows"]} if file.exists() else {}
+    if options.page is not None:
+        options.page.write_text(page(list(rows.values())), encoding="utf-8")
+        return
     for name in options.ids or BARS:
         rows[name] = _row(name)
         print(_line(rows[name]), flush=True)
@@ -143,7 +147,21 @@ def _write(folder: Path, rows: list[dict[str, Any]]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     record = {"provenance": provenance(kernel=kernel()), "rows": rows}
     replace_text(folder / "benchmarks.json", json.dumps(record, indent=1) + "\n")
-    lines = ["# Speed", "", "| bar | figure | must | stretch | |", "|---|---:|---:|---:|---|"]
+    replace_text(folder / "benchmarks.md", page(rows))
+
+
+def page(rows: list[dict[str, Any]]) -> str:
+    """The record as a page of Markdown."""
+    lines = [
+        "# Speed",
+        "",
+        "Ratios of CPU time, rivals and ours frame by frame on the same detections, on one",
+        "machine; `make bench` measures them into reports/benchmarks.json, and",
+        "`python tests/benchmark/bench.py --page docs/results/speed.md` prints this page from it.",
+        "",
+        "| bar | figure | must | stretch | |",
+        "|---|---:|---:|---:|---|",
+    ]
     for row in rows:
         sign = "≥" if row["at_least"] else "≤"
         stretch = "" if row["stretch"] is None else f"{sign} {row['stretch']:g}"
@@ -155,7 +173,7 @@ def _write(folder: Path, rows: list[dict[str, Any]]) -> None:
     for row in rows:
         details = ", ".join(f"{key} {value}" for key, value in row["details"].items())
         lines.append(f"| {row['id']} | {details} |")
-    replace_text(folder / "benchmarks.md", "\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What else one could judge paired trials by, beside the gate's sequence: cost and validity.
 
-    python tests/statistical/gate_methods.py     prints the table of docs/studies.md
+    python tests/statistical/gate_methods.py     prints the table of docs/guide/studies.md
 
 Each method gives, for differences (S, N) in [-1, 1], an upper bound of their mean after every trial
 that is meant to be wrong with probability alpha at most; a lower bound is its mirror image.

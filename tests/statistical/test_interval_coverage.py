@@ -81,7 +81,7 @@ def test_intervals_over_sequences_cover(name, verified):
 
 @pytest.mark.slow
 def test_very_skewed_rates_are_covered_by_no_method_that_was_tried(verified):
-    """Reported, not promised: docs/intervals.md says so."""
+    """Reported, not promised: docs/guide/intervals.md says so."""
     for n in SEQUENCES:
         hits, _ = over_sequences(SKEWED, n, 10_000, seed=3)
         what = f"pooled rate over {n} sequences, lengths of log sd .8, rates of log sd 1: coverage"
@@ -259,7 +259,7 @@ def test_intervals_of_paired_differences_of_counts_cover(name, verified):
 
 @pytest.mark.slow
 def test_bursts_that_no_trial_has_shown_are_covered_by_nothing(verified):
-    """Reported, not promised: docs/intervals.md says so."""
+    """Reported, not promised: docs/guide/intervals.md says so."""
     draw = zero_inflated(0.05)
     hits, students, _ = of_counts(draw, 1.0, 20, 4000, seed=8)
     what = "coverage of a mean of 1, 20 trials, of which one in twenty has a Poisson count of mean "

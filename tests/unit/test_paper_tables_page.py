@@ -13,7 +13,7 @@ from pmbm.cli import COMMANDS, main
 from pmbm.datasets import open_dataset
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "paper_tables.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "results" / "paper_tables.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```\n(.*?)```", PAGE, re.DOTALL)
 LINES = [line for block in BLOCKS for line in block.splitlines()]
 SAMPLES = [

@@ -16,7 +16,7 @@ from pmbm.types import Site
 
 ROOT = Path(__file__).parents[2]
 STUDY = ROOT / "studies" / "preset_options.toml"
-PAGE = ROOT / "docs" / "presets.md"
+PAGE = ROOT / "docs" / "results" / "presets.md"
 OPTIONS = {
     "scores-first": {"scores"},
     "rising": {"sensor.detection"},

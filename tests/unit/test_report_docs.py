@@ -5,14 +5,14 @@ from pathlib import Path
 
 from pmbm.cli import COMMANDS
 
-PAGE = (Path(__file__).parents[2] / "docs" / "reports.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "reports.md").read_text(encoding="utf-8")
 
 
 def test_the_example_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (example,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
     names = {}
-    exec(compile(example, "docs/reports.md", "exec"), names)
+    exec(compile(example, "docs/guide/reports.md", "exec"), names)
     assert names["cell"]._repr_html_().startswith("<iframe")
     assert (tmp_path / "scene.svg").read_text(encoding="utf-8").startswith("<?xml")
 

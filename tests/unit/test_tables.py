@@ -573,7 +573,7 @@ class TestFrames:
 
 
 def test_the_page_names_every_column():
-    page = (Path(__file__).parents[2] / "docs" / "tables.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "guide" / "tables.md").read_text()
     for what, columns in COLUMNS.items():
         part = page.partition(f"### {what}\n")[2].partition("\n### ")[0]
         rows = [
