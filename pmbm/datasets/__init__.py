@@ -79,6 +79,20 @@ def adapter(name: str) -> Any:
     return getattr(importlib.import_module(module), attribute)
 
 
+LAYOUTS = {
+    "kitti": "a folder with calib/NNNN.txt and, for truth, label_02/NNNN.txt",
+    "argoverse1": "a folder of logs, in each poses/city_SE3_egovehicle_<ns>.json and, for truth, "
+    "per_sweep_annotations_amodal/tracked_object_labels_<ns>.json",
+    "argoverse2": "a folder of logs, in each city_SE3_egovehicle.feather and, for truth, "
+    "annotations.feather",
+    "nuscenes": "the folder of the tables, such as v1.0-mini: scene.json, sample.json, ...",
+    "waymo": "a folder with vehicle_pose/ and, for truth, lidar_box/, a parquet file a segment in "
+    "each; or a metrics.Objects file",
+    "table": "a folder with truth, detections or poses, a table a sequence",
+}
+"""Name -> what its root holds; docs/guide/datasets.md has the rest."""
+
+
 def open_dataset(name: str, **options: Any) -> Dataset:
     """The adapter of a dataset with its options; those that are None are left at their defaults.
 
@@ -96,6 +110,11 @@ def open_dataset(name: str, **options: Any) -> Dataset:
     for key, field in known.items():
         if key not in given and field.default is dataclasses.MISSING:
             raise InputError(f"{name} needs an option", field=key)
+    root = Path(given["root"]) if "root" in given else None
+    if root is not None and not root.exists():
+        raise InputError(
+            f"{name}: there is no such folder", file=root, field="root", expected=LAYOUTS[name]
+        )
     dataset: Dataset = made(**given)
     return dataset
 

@@ -12,6 +12,8 @@ import pytest
 import pmbm.cli
 from pmbm.cli import COMMANDS, main
 from pmbm.cli.sources import resolve
+from pmbm.datasets import DATASETS, LAYOUTS, open_dataset
+from pmbm.errors import InputError
 from pmbm.filter import PMBMConfig
 from pmbm.study.configured import from_table
 from pmbm.study.file import load_study
@@ -139,6 +141,17 @@ def test_the_table_of_speed_is_the_records(tmp_path, monkeypatch):
     rows = json.loads((ROOT / "reports" / "benchmarks.json").read_text())["rows"]
     page = (ROOT / "docs" / "results" / "speed.md").read_text(encoding="utf-8")
     assert page == bench.page(rows)
+
+
+def test_the_layout_of_every_dataset_is_on_one_page_and_in_the_error(tmp_path):
+    page = (ROOT / "docs" / "guide" / "datasets.md").read_text(encoding="utf-8")
+    assert set(LAYOUTS) == set(DATASETS)
+    for name, layout in LAYOUTS.items():
+        assert layout.replace("<", "&lt;").replace(">", "&gt;") in page
+        with pytest.raises(InputError) as caught:
+            open_dataset(name, root=tmp_path / "nowhere")
+        assert f"{name}: there is no such folder" in str(caught.value)
+        assert layout in str(caught.value)
 
 
 @pytest.mark.slow

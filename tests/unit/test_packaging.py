@@ -23,6 +23,8 @@ def build(folder, **environment):
     unwanted = shutil.ignore_patterns("__pycache__", "*.html", "*.svg")
     for name in ("pmbm", "sim", "reports", "scenarios"):
         shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=unwanted)
+    example = Path("tests/examples/my_tracker")
+    shutil.copytree(ROOT / example, source / example, ignore=unwanted)
     for name in ("pyproject.toml", "CMakeLists.txt", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source / name)
     ours = ("PMBM_NO_NATIVE", "PMBM_REQUIRE_NATIVE")
@@ -54,6 +56,9 @@ def test_the_wheel_carries_the_kernel_and_the_scenarios(tmp_path):
     shipped = {Path(name).name for name in names if name.startswith("pmbm/sim/scenarios/")}
     assert shipped == {path.name for path in (ROOT / "scenarios").rglob("*") if path.is_file()}
     assert not [name for name in names if name.endswith((".cpp", ".hpp"))]
+    # What `pmbm init` writes is there; what the repository shows and records is not.
+    assert "pmbm/example/tests/test_nearest.py" in names
+    assert not [name for name in names if name.endswith((".png", ".json", ".svg"))]
 
 
 @pytest.mark.parametrize("environment", [NO_COMPILER, {"PMBM_NO_NATIVE": "1"}])
