@@ -103,7 +103,7 @@ def command(
     _check(base.document, knobs)
     finding = search(
         base.document,
-        _badness(tracker_name, metric, sign, trials, seed),
+        badness_of(tracker_name, metric, sign, trials, seed),
         knobs,
         budget=budget,
         limit=None if limit is None else sign * limit,
@@ -126,7 +126,7 @@ def command(
     sys.exit(1)
 
 
-def _badness(tracker: str, metric: str, sign: float, trials: int, seed: int) -> Badness:
+def badness_of(tracker: str, metric: str, sign: float, trials: int, seed: int) -> Badness:
     """The metric, larger is worse, of a scenario's document."""
     import numpy as np
 

@@ -141,7 +141,7 @@ class DetectorModel:
             "seed": seed,
             "trial": trial,
             "profile": self.plain(),
-            "score_error": reliability_of(deliveries).expected_error,
+            "score_error": reliability_of(deliveries).expected_error or 0.0,
         }
         return Recording(
             name=scene.name,

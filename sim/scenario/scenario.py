@@ -127,7 +127,7 @@ class Scenario:
         # In the file's order, which numbers the objects.
         key = json.dumps({k: document[k] for k in _SCENE_KEYS if k in document})
         try:
-            scene = _scene(key, self.form.name, int(seed), int(trial))
+            scene = simulated_scene(key, self.form.name, int(seed), int(trial))
         except InputError as error:
             raise (error if error.file else error.located(file=self.file)) from None
         check_in_range(scene, self.form, self.file)
@@ -327,7 +327,7 @@ def check_seed(seed: int, trial: int) -> None:
 
 
 @functools.lru_cache(maxsize=8)
-def _scene(key: str, name: str, seed: int, trial: int) -> Scene:
+def simulated_scene(key: str, name: str, seed: int, trial: int) -> Scene:
     """The scene described by `key` (JSON of the document's scene part), simulated at most once."""
     document = json.loads(key)
     form = schema.parse({"name": name, "stresses": "its own truth", **document})

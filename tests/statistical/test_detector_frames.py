@@ -216,7 +216,9 @@ def calibrated(temperature=1.0, offset=0.0):
 
 def test_scores_are_calibrated_where_the_betas_make_them_so():
     curve = reliability(calibrated())
-    z = (curve.true_share - curve.score) / np.sqrt(curve.score * (1 - curve.score) / curve.count)
+    score, true_share = curve.curve
+    count = curve.count[curve.count > 0]
+    z = (true_share - score) / np.sqrt(score * (1 - score) / count)
     assert np.abs(z).max() < stats.norm.isf(ALPHA / 2 / len(z))
     assert curve.expected_error < 0.02
     assert curve.count.sum() == sum(map(len, calibrated().detections))
@@ -251,7 +253,7 @@ def test_a_second_box_of_an_object_is_no_true_one():
         objects={"duplicate_probability": 1.0, "score_mean": 0.9, "score_concentration": 50.0},
     )
     curve = reliability(twice, bins=1)
-    assert curve.true_share.tolist() == [0.5]
+    assert curve.curve[1].tolist() == [0.5]
     with pytest.raises(InputError, match="origin"):
         reliability(replace(twice, origin=None))
 

@@ -23,6 +23,7 @@ from pmbm.filter.estimation import cardinality, marginals
 from pmbm.filter.prediction import Transition, predict
 from pmbm.filter.reduction import reduce
 from pmbm.filter.update import update
+from pmbm.metrics.families import existence
 from pmbm.reports.posterior_figures import (
     cost_figure,
     reliability_figure,
@@ -190,27 +191,23 @@ def reliability(outcomes, bins=10):
     sums = np.zeros((len(outcomes), bins))
     claimed, true = [], []
     for trial, (run, _) in enumerate(outcomes):
-        existence = marginals(run.density).existence
-        for number, p in zip(run.density.track_id.tolist(), existence, strict=True):
+        claims = marginals(run.density).existence
+        for number, p in zip(run.density.track_id.tolist(), claims, strict=True):
             fact = float(run.alive.get(number, False))
             sums[trial, min(np.searchsorted(edges, p, side="right") - 1, bins - 1)] += fact - p
             claimed.append(p)
             true.append(fact)
     scale = np.sqrt((sums**2).sum(axis=0))
+    found = existence.reliability(claimed, true, bins)
     z = np.divide(sums.sum(axis=0), scale, out=np.zeros(bins), where=scale > 0)
-    claimed, true = np.array(claimed), np.array(true)
-    place = np.minimum(np.searchsorted(edges, claimed, side="right") - 1, bins - 1)
-    count = np.bincount(place, minlength=bins)
-    filled = np.maximum(count, 1)
-    mean = np.bincount(place, claimed, minlength=bins) / filled
-    share = np.bincount(place, true, minlength=bins) / filled
+    filled = np.maximum(found.count, 1)
     return Reliability(
-        claimed=mean,
-        true=share,
+        claimed=found.probability_sum / filled,
+        true=found.hits / filled,
         error=scale / filled,
         z=z,
-        brier=float(((claimed - true) ** 2).mean()),
-        ece=float((count * np.abs(mean - share)).sum() / len(claimed)),
+        brier=found.square_sum / len(claimed),
+        ece=found.expected_error,
         tracks=len(claimed),
     )
 

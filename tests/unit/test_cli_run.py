@@ -7,30 +7,11 @@ import subprocess
 import sys
 
 import pytest
+from short_road import short_road
 
 from pmbm.cli import main
 
-QUICK = """
-name = "short"
-stresses = "nothing, quickly"
-duration = 2.0
-
-[scene]
-kind = "road"
-sensor = { max_range = 60.0 }
-
-[scene.roads.main]
-start = [-200.0, 0.0]
-end = [200.0, 0.0]
-
-[scene.actors.car]
-road = "main"
-position = 210.0
-speed = 5.0
-
-[detector]
-profile = "nominal"
-"""
+QUICK = short_road(2.0)
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from short_road import short_road
 
 from pmbm.cli import main
 from pmbm.errors import InputError
@@ -14,23 +15,7 @@ from pmbm.named_modules import find_named, import_named
 from pmbm.study.code import code_version
 from pmbm.tracking import tracker_factory
 
-SCENARIO = """
-name = "short"
-stresses = "nothing, quickly"
-duration = 0.5
-[scene]
-kind = "road"
-sensor = { max_range = 60.0 }
-[scene.roads.main]
-start = [-200.0, 0.0]
-end = [200.0, 0.0]
-[scene.actors.car]
-road = "main"
-position = 210.0
-speed = 5.0
-[detector]
-profile = "nominal"
-"""
+SCENARIO = short_road(0.5)
 STUDY = """
 scenarios = ["short.toml"]
 trackers = ["mine_here:Mine"]

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from noisy_trackers import Noisy, Raises, Seeded
 
-from pmbm.cli.falsify import _badness
+from pmbm.cli.falsify import badness_of
 from pmbm.cli.run import command as run_command
 from pmbm.cli.track import tracked
 from pmbm.cli.tuning import Simulated
@@ -137,7 +137,7 @@ def test_a_replay_and_a_search_score_as_a_study_does():
     assert replayed.scores["a"]["gospa"] == values[1]
     problem = Simulated.of([WORLD], NOISY, "gospa", 1, 2)
     assert problem.values(NOISY) == values
-    badness = _badness("noisy_trackers:Noisy", "gospa", 1.0, 2, 1)
+    badness = badness_of("noisy_trackers:Noisy", "gospa", 1.0, 2, 1)
     assert badness(BRIEF) == np.mean(values)
 
 

@@ -16,15 +16,15 @@ from pmbm.cli import main
 from pmbm.errors import InputError
 from pmbm.sim import schema
 from pmbm.sim.scenario import cache
-from pmbm.sim.scenario.scenario import _scene, load_scenario, simulate
+from pmbm.sim.scenario.scenario import load_scenario, simulate, simulated_scene
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("PMBM_CACHE", str(tmp_path / "cache"))
-    _scene.cache_clear()
+    simulated_scene.cache_clear()
     yield tmp_path / "cache"
-    _scene.cache_clear()
+    simulated_scene.cache_clear()
 
 
 def scenario(name="roundabout", seconds=1.0):
@@ -34,7 +34,7 @@ def scenario(name="roundabout", seconds=1.0):
 
 def again(source, seed=0, **options):
     """The scene without help from this process's memory."""
-    _scene.cache_clear()
+    simulated_scene.cache_clear()
     return source.scene(seed, **options)
 
 
