@@ -355,7 +355,30 @@ class ScriptedScene(Surroundings):
     """objects that come and go all the time, by name"""
 
 
-AnyScene = Annotated[GymnasiumScene | RoadScene | ScriptedScene, Field(discriminator="kind")]
+class RecordedScene(Surroundings):
+    """Traffic from a file: a table of truth, a CommonRoad scenario, or floating car data of SUMO.
+    The ground is flat here, an object's size and label do not change, and visibility is worked out.
+    """
+
+    kind: Literal["recorded"]
+    file: str = Field(description="beside this one: .csv, .parquet, .xml or .xml.gz")
+    types: list[str] = Field(
+        default=[], description="of SUMO, the files that hold the vehicle types: lengths"
+    )
+    ego: str | None = Field(
+        default=None, description="id of the vehicle that carries the sensor; is not in the truth"
+    )
+    start: float | None = Field(
+        default=None, description="s, of the file's own time; default: its first"
+    )
+    classes: dict[str, Literal[LabelName, "ignored"]] = Field(
+        default={}, description="the file's classes or types -> labels; ignored: left out"
+    )
+
+
+AnyScene = Annotated[
+    GymnasiumScene | RoadScene | ScriptedScene | RecordedScene, Field(discriminator="kind")
+]
 Level = int | float
 
 
@@ -436,7 +459,12 @@ def json_schema() -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
-_KINDS = {"gymnasium": GymnasiumScene, "road": RoadScene, "scripted": ScriptedScene}
+_KINDS = {
+    "gymnasium": GymnasiumScene,
+    "road": RoadScene,
+    "scripted": ScriptedScene,
+    "recorded": RecordedScene,
+}
 
 
 def _explain(error: ValidationError, file: object) -> InputError:

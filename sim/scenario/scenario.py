@@ -27,6 +27,7 @@ from pmbm.sim.streams import Streams
 from pmbm.sim.toml_tables import read_toml
 from pmbm.sim.world import scripted
 from pmbm.sim.world.apart import followed, marked_crashed
+from pmbm.sim.world.recorded import files_state, recorded_paths
 from pmbm.sim.world.scene import Scene
 from pmbm.sim.world.trajectory import GROUP, Trajectory, to_scene
 from pmbm.types import FloatArray, MountedSensor, Recording, Site
@@ -127,7 +128,9 @@ class Scenario:
         # In the file's order, which numbers the objects.
         key = json.dumps({k: document[k] for k in _SCENE_KEYS if k in document})
         try:
-            scene = simulated_scene(key, self.form.name, int(seed), int(trial))
+            world = self.form.scene
+            state = files_state(world) if isinstance(world, schema.RecordedScene) else ()
+            scene = simulated_scene(key, self.form.name, int(seed), int(trial), state)
         except InputError as error:
             raise (error if error.file else error.located(file=self.file)) from None
         check_in_range(scene, self.form, self.file)
@@ -237,7 +240,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         if text not in names:
             raise InputError(f"no scenario '{text}'", hint=nearest_hint(text, names, "scenario"))
         path = catalogue_folder() / f"{text}.toml"
-    document = _with_own_profile(_extended(read_toml(path), str(path)), path.parent)
+    document = _with_own_files(_extended(read_toml(path), str(path)), path.parent)
     scenario = Scenario(document, str(path))
     return scenario.at(level) if level else scenario
 
@@ -260,7 +263,7 @@ def _extended(document: dict[str, Any], file: str) -> dict[str, Any]:
             hint=nearest_hint(base_name, names, "scenario"),
         )
     base_file = catalogue_folder() / f"{base_name}.toml"
-    base = read_toml(base_file)
+    base = _with_own_files(read_toml(base_file), base_file.parent)
     if "extends" in base:
         raise InputError(
             "extends a scenario that itself extends another",
@@ -273,12 +276,21 @@ def _extended(document: dict[str, Any], file: str) -> dict[str, Any]:
     return _merge(merged, {key: value for key, value in document.items() if key != "extends"})
 
 
-def _with_own_profile(document: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The document with a detector profile's file, if it names one, found from its own folder."""
+def _with_own_files(document: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The document with the files that it names, of recorded traffic and of detector profiles,
+    found from its own folder."""
+    scene = document.get("scene")
+    if isinstance(scene, dict) and scene.get("kind") == "recorded":
+        found = dict(scene)
+        if isinstance(scene.get("file"), str):
+            found["file"] = str(folder.absolute() / scene["file"])
+        if isinstance(scene.get("types"), list):
+            found["types"] = [str(folder.absolute() / str(name)) for name in scene["types"]]
+        document = {**document, "scene": found}
     sensors = document.get("sensors")
     if isinstance(sensors, dict):
         own = {
-            name: _with_own_profile(sensor, folder) if isinstance(sensor, dict) else sensor
+            name: _with_own_files(sensor, folder) if isinstance(sensor, dict) else sensor
             for name, sensor in sensors.items()
         }
         document = {**document, "sensors": own}
@@ -327,11 +339,14 @@ def check_seed(seed: int, trial: int) -> None:
 
 
 @functools.lru_cache(maxsize=8)
-def simulated_scene(key: str, name: str, seed: int, trial: int) -> Scene:
-    """The scene described by `key` (JSON of the document's scene part), simulated at most once."""
+def simulated_scene(
+    key: str, name: str, seed: int, trial: int, _files: tuple[tuple[str, int, int], ...] = ()
+) -> Scene:
+    """The scene described by `key` (JSON of the document's scene part) and by its files' state,
+    simulated at most once."""
     document = json.loads(key)
     form = schema.parse({"name": name, "stresses": "its own truth", **document})
-    if isinstance(form.scene, schema.ScriptedScene):
+    if isinstance(form.scene, schema.ScriptedScene | schema.RecordedScene):
         # As quickly made as read.
         return simulate(form, seed, trial)
     return cached(name, key, seed, trial, lambda: simulate(form, seed, trial))
@@ -353,7 +368,10 @@ def simulate(form: schema.ScenarioForm, seed: int, trial: int = 0) -> Scene:
     paths: list[Trajectory] = []
     drivable = None
     occluders = [_polygon(occluder) for occluder in world.occluders.values()]
-    if not isinstance(world, schema.ScriptedScene):
+    if isinstance(world, schema.RecordedScene):
+        paths, carried = recorded_paths(world, ticks, form.simulation_rate)
+        poses = poses if carried is None else carried
+    elif not isinstance(world, schema.ScriptedScene):
         from pmbm.sim.world import traffic
 
         opened = (
