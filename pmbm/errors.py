@@ -19,7 +19,8 @@ class InputError(ValueError):
     Parameters
     ----------
     problem : what is wrong, in a few words, without a full stop.
-    file, frame, object_id, field, rows : where; whatever is known (`field` may be a dotted key).
+    run, file, frame, object_id, field, rows : where; whatever is known (`run` is a trial or a
+        sequence, `field` may be a dotted key).
     expected, got : what would have been right, and what came.
     hint : what to do, for example the nearest valid name.
     """
@@ -28,6 +29,7 @@ class InputError(ValueError):
         self,
         problem: str,
         *,
+        run: str | None = None,
         file: object = None,
         frame: object = None,
         object_id: object = None,
@@ -38,6 +40,7 @@ class InputError(ValueError):
         hint: str | None = None,
     ) -> None:
         self.problem = problem
+        self.run = run
         self.file = None if file is None else str(file)
         self.frame = frame
         self.object_id = object_id
@@ -51,8 +54,9 @@ class InputError(ValueError):
     def _message(self) -> str:
         rows = ", ".join(map(str, self.rows[:5])) + (", ..." if len(self.rows) > 5 else "")
         where = [
-            f"{name} {value}"
+            f"{name} {value}".lstrip()
             for name, value in (
+                ("", self.run),
                 ("file", self.file),
                 ("frame", self.frame),
                 ("object", self.object_id),
@@ -71,9 +75,11 @@ class InputError(ValueError):
         return text
 
     def located(self, **where: Any) -> InputError:
-        """The same error with more of its place known (`file=`, `frame=`, ...), for readers that
-        build values far from where the file's name is known."""
+        """The same error with more of its place known (`file=`, `frame=`, ...) or with `problem=`
+        in other words, for readers that build values far from where the file's name is known."""
         known = {
+            "problem": self.problem,
+            "run": self.run,
             "file": self.file,
             "frame": self.frame,
             "object_id": self.object_id,
@@ -83,11 +89,12 @@ class InputError(ValueError):
             "got": self.got,
             "hint": self.hint,
         }
-        return type(self)(self.problem, **{**known, **where})
+        return _noted(type(self)(**{**known, **where}), notes_of(self))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Exceptions pickle by their positional arguments alone; workers must hand on the whole.
-        return _rebuild, (type(self), dict(self.__dict__))
+        state = {name: value for name, value in self.__dict__.items() if name != "__notes__"}
+        return _rebuild, (type(self), state, notes_of(self))
 
 
 _NEAR: Final = 0.56
@@ -127,5 +134,16 @@ def _short(value: object) -> str:
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
 
 
-def _rebuild(kind: type[InputError], state: dict[str, Any]) -> InputError:
-    return kind(**state)
+def notes_of(error: BaseException) -> tuple[str, ...]:
+    """What was added to an error for people (`BaseException.add_note`): part of no message."""
+    return tuple(getattr(error, "__notes__", ()))
+
+
+def _noted(error: InputError, notes: Iterable[str]) -> InputError:
+    for note in notes:
+        error.add_note(note)
+    return error
+
+
+def _rebuild(kind: type[InputError], state: dict[str, Any], notes: tuple[str, ...]) -> InputError:
+    return _noted(kind(**state), notes)

@@ -32,8 +32,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--pmbm-tracker",
         default=None,
         metavar="NAME",
-        help="the tracker of every scenario test, instead of what its marker says: a shipped one "
-        "or MODULE:FACTORY",
+        help="the tracker of every scenario test, instead of what its marker says: a shipped one, "
+        "MODULE:FACTORY or exec:COMMAND",
     )
     group.addoption(
         "--pmbm-replay",

@@ -12,6 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from pmbm.errors import InputError, Verbatim, nearest_hint
+from pmbm.external.program import EXEC, program_named
 from pmbm.named_modules import import_named
 from pmbm.seeding import seeded
 from pmbm.types import Detections, Label, Recording, Site, Tracks, TrackSequence
@@ -40,7 +41,8 @@ SHIPPED_TRACKERS = {
     "waymo": "pmbm.baselines:WaymoTracker",
     "probabilistic_kf": "pmbm.baselines:ProbabilisticKFTracker",
 }
-"""Names that commands and study files may use; any other tracker is named MODULE:FACTORY."""
+"""Names that commands and study files may use; any other tracker is named MODULE:FACTORY, or
+exec:COMMAND where it is a program."""
 
 
 SHIPPED_BOUNDS = {"clairvoyant": "pmbm.baselines:clairvoyant"}
@@ -63,16 +65,19 @@ class Bound:
 
 
 def tracker_factory(name: str) -> TrackerFactory:
-    """The factory behind a shipped name or behind MODULE:FACTORY; of a bound's name, the bound.
+    """The factory behind a shipped name, MODULE:FACTORY or exec:COMMAND; of a bound's name, the
+    bound.
 
     Raises InputError, with the nearest valid name, where there is none.
     """
+    if name.startswith(EXEC):
+        return program_named(name)
     home = SHIPPED_BOUNDS.get(name) or SHIPPED_TRACKERS.get(name, name)
     module_name, _, attribute = home.partition(":")
     if not attribute:
         raise InputError(
             f"no tracker '{name}'",
-            expected="a shipped tracker or MODULE:FACTORY",
+            expected="a shipped tracker, MODULE:FACTORY or exec:COMMAND",
             hint=nearest_hint(name, SHIPPED_TRACKERS, "tracker"),
         )
     try:
@@ -177,7 +182,7 @@ def run(tracker: Tracker, recording: Recording, *, record: bool = False) -> Trac
     reach.  With `record=True` what its `inspect()` gives after each step is kept.
 
     Raises InputError where the tracker has no `step`, or gives something that is not `Tracks` or
-    not of the detections' time.
+    not of the detections' time, and names the frame in one that `step` raises.
     """
     if not callable(getattr(tracker, "step", None)):
         raise InputError(
@@ -192,8 +197,14 @@ def run(tracker: Tracker, recording: Recording, *, record: bool = False) -> Trac
     for delivery in given:
         detections, frame = recording.detections[delivery], int(recording.frame[delivery])
         start = time.process_time()
-        tracks = tracker.step(detections)
-        seconds[frame] = seconds.get(frame, 0.0) + time.process_time() - start
+        try:
+            tracks = tracker.step(detections)
+        except InputError as error:
+            raise error.located(frame=frame) from error
+        # A tracker that runs in another process says what its step took there.
+        elsewhere = getattr(tracker, "step_seconds", None)
+        taken = time.process_time() - start if elsewhere is None else elsewhere
+        seconds[frame] = seconds.get(frame, 0.0) + taken
         if not isinstance(tracks, Tracks):
             raise InputError(
                 f"{type(tracker).__name__}.step returned something else than Tracks",

@@ -129,9 +129,14 @@ def trial_page(
 
 
 def problems(results: Sequence[TrialResult]) -> tuple[str, ...]:
-    """Which trackers raised, in which trials, a line each."""
+    """Which trackers raised, in which trials, a line each, with what is known besides."""
     return tuple(
-        f"{name} raised in trial {result.trial}: {error.message}"
+        "; ".join(
+            [
+                f"{name} raised in trial {result.trial}: {error.message}",
+                *(" ".join(note.split()) for note in error.notes),
+            ]
+        )
         for result in results
         for name, error in result.errors.items()
     )

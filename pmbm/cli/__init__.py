@@ -102,14 +102,14 @@ def group() -> None:
 
 def main(arguments: list[str] | None = None) -> Any:
     """The console script: runs a command and turns what a user can get wrong into one line."""
-    from pmbm.errors import InputError
+    from pmbm.errors import InputError, notes_of
 
     try:
         _refuse_missing_parts()
         with _warnings_in_a_line():
             code = group.main(args=arguments, prog_name="pmbm", standalone_mode=False)
     except InputError as error:
-        _complain(str(error))
+        _complain("\n".join([str(error), *notes_of(error)]))
         sys.exit(2)
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     "tracker_name",
     default="pmbm",
     show_default=True,
-    metavar="NAME|MODULE:FACTORY",
+    metavar="NAME|MODULE:FACTORY|exec:COMMAND",
 )
 @click.option("--metric", default="gospa", show_default=True, help="What to make worse.")
 @click.option(
@@ -130,6 +130,7 @@ def badness_of(tracker: str, metric: str, sign: float, trials: int, seed: int) -
     """The metric, larger is worse, of a scenario's document."""
     import numpy as np
 
+    from pmbm.errors import InputError
     from pmbm.metrics import evaluate
     from pmbm.seeding import tracker_seed
     from pmbm.sim.scenario.scenario import Scenario
@@ -142,7 +143,11 @@ def badness_of(tracker: str, metric: str, sign: float, trials: int, seed: int) -
         values = []
         for trial in range(trials):
             recording = scenario.record(seed, trial)
-            tracks = track(factory, recording, tracker_seed(seed, trial))
+            try:
+                tracks = track(factory, recording, tracker_seed(seed, trial))
+            except InputError as error:
+                # The search takes an InputError for a world that there cannot be.
+                raise click.ClickException(str(error.located(run=f"trial {trial}"))) from error
             value = evaluate(recording, tracks, [metric]).scalars()[metric]
             if value is not None:
                 values.append(sign * value)

@@ -31,7 +31,7 @@ KINDS = ("scene", "hidden", "errors")
     multiple=True,
     default=("pmbm",),
     show_default=True,
-    metavar="NAME|MODULE:FACTORY",
+    metavar="NAME|MODULE:FACTORY|exec:COMMAND",
     help="A tracker to draw; give it several times for several panels.",
 )
 @click.option(

@@ -47,7 +47,7 @@ HEADLINE = (
     multiple=True,
     default=("pmbm", "argoverse"),
     show_default=True,
-    metavar="NAME|MODULE:FACTORY",
+    metavar="NAME|MODULE:FACTORY|exec:COMMAND",
     help="A tracker to run; give it several times to compare. The first is compared with the rest.",
 )
 @settings.option
@@ -287,7 +287,8 @@ def _show(name: str, summary: Summary, results: Sequence[TrialResult], *, to_std
     console = Console(stderr=to_stderr)
     if not console.is_terminal:
         # A file has no width of its own; rich's guess of 80 columns would cut names short.
-        console = Console(stderr=to_stderr, width=40 + 24 * len(table.columns))
+        width = 40 + sum(max(24, len(str(column.header)) + 3) for column in table.columns)
+        console = Console(stderr=to_stderr, width=width)
     console.print(table)
 
 

@@ -94,6 +94,8 @@ def _finish(study: Study, file: Path, store: Path, done: Progress, export_file: 
         click.echo(
             f"{row['outcome']}: trial {row['trial']} of {label}: {row['error']}; replay: {again}"
         )
+        if row["note"] and not row["note"].startswith("Traceback"):
+            click.echo(row["note"])
     click.echo(f"{store}: {done.done} trials, {done.failed} failed, digest {results.digest}")
     if export_file is not None:
         export(results, export_file)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     "tracker_name",
     default="pmbm",
     show_default=True,
-    metavar="NAME|MODULE:FACTORY",
+    metavar="NAME|MODULE:FACTORY|exec:COMMAND",
 )
 @click.option(
     "--config",
@@ -105,14 +105,18 @@ def tracked(
     the sequence's name alone."""
     from functools import partial
 
+    from pmbm.errors import InputError
     from pmbm.seeding import seeded, tracker_seed
     from pmbm.tracking import ByLabel, track
 
     seed = tracker_seed(0, sequence)
-    if mode == "batch":
-        with seeded(seed):
-            return looked_back(recording, trackers)
-    return track(partial(ByLabel, trackers), recording, seed)
+    try:
+        if mode == "batch":
+            with seeded(seed):
+                return looked_back(recording, trackers)
+        return track(partial(ByLabel, trackers), recording, seed)
+    except InputError as error:
+        raise error.located(run=f"sequence {sequence}") from error
 
 
 def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker]) -> TrackSequence:

@@ -38,7 +38,11 @@ _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mod
 @dataset_options.rule
 @click.option("--mode", type=click.Choice(["online", "batch"]), default="online", show_default=True)
 @click.option(
-    "--tracker", "tracker_name", default="pmbm", show_default=True, metavar="NAME|MODULE:FACTORY"
+    "--tracker",
+    "tracker_name",
+    default="pmbm",
+    show_default=True,
+    metavar="NAME|MODULE:FACTORY|exec:COMMAND",
 )
 @click.option(
     "--config",

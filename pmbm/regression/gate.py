@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from pmbm.errors import InputError
+from pmbm.errors import InputError, notes_of
 from pmbm.regression.metric import ALONGSIDE, GatedMetric
 from pmbm.regression.sequence import fewest_trials
 from pmbm.regression.stored import StoredBaseline
@@ -278,8 +278,8 @@ def _run_pair(entry: GateEntry, seed: int, trial: int, metric: GatedMetric) -> _
     if not isinstance(entry.baseline, StoredBaseline):
         try:
             baseline, _ = score_tracker(recording, entry.baseline, metric, seed=own)
-        except InputError:
-            raise
+        except InputError as error:
+            raise error.located(run=f"baseline, trial {trial} of '{entry.source.name}'") from error
         except Exception as error:
             raise InputError(
                 f"the baseline raised {type(error).__name__} in trial {trial} of "
@@ -290,7 +290,7 @@ def _run_pair(entry: GateEntry, seed: int, trial: int, metric: GatedMetric) -> _
     except InputError as error:
         if error.field == "metric":
             raise
-        return _Pair(digest, baseline, None, str(error))
+        return _Pair(digest, baseline, None, "\n".join([str(error), *notes_of(error)]))
     except Exception as error:
         return _Pair(digest, baseline, None, f"{type(error).__name__}: {error}")
     return _Pair(digest, baseline, candidate)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pmbm.errors import InputError
+from pmbm.external import EXEC
 from pmbm.named_modules import find_named
 from pmbm.study.code import WITHOUT_EFFECT
 from pmbm.types import Detections, Site, Tracks
@@ -32,7 +33,7 @@ class GitTracker:
     """A tracker factory: the tracker of that name as it was in a checkout.
 
     folder : the checkout.
-    name : a shipped name or MODULE:FACTORY, looked up in the checkout first.
+    name : a shipped name, MODULE:FACTORY or exec:COMMAND, looked up in the checkout first.
     parameters : as of `ConfiguredTracker`.
     """
 
@@ -174,7 +175,10 @@ def git(folder: Path, *arguments: str, what: str) -> str:
 
 
 def same_sources(folder: str, factory: str, repository: Path | None = None) -> bool:
-    """Whether the code that a tracker's trial depends on is the same there and here."""
+    """Whether the code that a tracker's trial depends on is the same there and here; never of a
+    program, which may read anything."""
+    if factory.startswith(EXEC):
+        return False
     top = repository_of(repository or Path.cwd())
     module = factory.partition(":")[0] if ":" in factory else "pmbm"
     for package in {"pmbm", module.split(".")[0]}:

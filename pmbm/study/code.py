@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from pmbm.external import EXEC, program_named
 from pmbm.named_modules import find_named
 from pmbm.provenance import provenance
 
@@ -28,10 +29,12 @@ WITHOUT_EFFECT = (
 def code_version(modules: Iterable[str] = ()) -> dict[str, Any]:
     """What computes a trial: digests of pmbm, pmbm.sim and the modules named, versions, platform.
 
-    modules : of the trackers in use ("package.module"); a whole package is hashed.
+    modules : of the trackers in use ("package.module"), of which the whole package is hashed; a
+        program's "exec:COMMAND" stands for the files that the command names.
     """
     known = provenance()
-    named = sorted({name.split(".")[0] for name in modules} | {"pmbm", "pmbm.sim"})
+    tops = {name if name.startswith(EXEC) else name.split(".")[0] for name in modules}
+    named = sorted(tops | {"pmbm", "pmbm.sim"})
     return {
         "sources": {name: digest for name in named if (digest := _digest(name)) is not None},
         "versions": known["versions"],
@@ -40,7 +43,10 @@ def code_version(modules: Iterable[str] = ()) -> dict[str, Any]:
 
 
 def _digest(package: str) -> str | None:
-    """SHA-256 of the sources of a top-level package or module, None where it has none."""
+    """SHA-256 of the sources of a top-level package or module, None where it has none; of a program
+    that of its files."""
+    if package.startswith(EXEC):
+        return program_named(package).digest()
     sources = sorted(_sources(package))
     hasher = hashlib.sha256()
     for name, file in sources:

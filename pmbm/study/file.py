@@ -25,7 +25,7 @@ class _Form(BaseModel):
 class TrackerForm(_Form):
     """A tracker with parameters, under a name of its own."""
 
-    factory: str = Field(description="a shipped tracker, or MODULE:FACTORY")
+    factory: str = Field(description="a shipped tracker, MODULE:FACTORY or exec:COMMAND")
     config: str | None = Field(
         default=None, description="a TOML file of parameters, beside this one; those here go first"
     )

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 from pmbm.errors import InputError
+from pmbm.external import EXEC
 from pmbm.metrics.catalogue import definition
 from pmbm.study.code import code_version
 from pmbm.study.configured import ConfiguredTracker
@@ -109,7 +110,9 @@ class Study:
     def document(self) -> dict[str, Any]:
         """All that a trial's result depends on, as plain JSON values; `trials` is no part of it."""
         modules = {
-            tracker.factory.partition(":")[0]
+            tracker.factory
+            if tracker.factory.startswith(EXEC)
+            else tracker.factory.partition(":")[0]
             for cell in self.cells
             for tracker in cell.trackers.values()
             if ":" in tracker.factory

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pmbm.errors import InputError
+from pmbm.errors import InputError, notes_of
 from pmbm.metrics import evaluate
 from pmbm.seeding import seeded, tracker_seed
 from pmbm.study.configured import factory_of, follow
@@ -40,15 +40,17 @@ class StepTime:
 
 @dataclass(frozen=True)
 class TrackerError:
-    """What a tracker raised: its type and message in one line, and the traceback."""
+    """What a tracker raised: its type and message in one line, the traceback, and what is known
+    besides, such as the last lines of a program on stderr."""
 
     message: str
     traceback: str = field(compare=False, repr=False)
+    notes: tuple[str, ...] = field(default=(), compare=False, repr=False)
 
     @classmethod
     def of(cls, error: Exception) -> TrackerError:
         message = " ".join(f"{type(error).__name__}: {error}".split())
-        return cls(message, "".join(traceback.format_exception(error)))
+        return cls(message, "".join(traceback.format_exception(error)), notes_of(error))
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,8 @@ def run_trial(
 ) -> TrialResult:
     """Record one trial and score every tracker on that same recording.
 
-    trackers : name in the results -> a factory, or the name of one (shipped, or MODULE:FACTORY).
+    trackers : name in the results -> a factory, or the name of one (shipped, MODULE:FACTORY or
+        exec:COMMAND).
     metrics : names to keep of what `pmbm.metrics.evaluate` gives, a function of one's own, or
         None for all that `evaluate` gives.
 

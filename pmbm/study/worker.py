@@ -15,6 +15,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from pmbm.errors import notes_of
 from pmbm.study.configured import ConfiguredTracker
 from pmbm.study.sources import Source
 from pmbm.study.store import StoreRow
@@ -60,8 +61,9 @@ def compute(task: Task) -> StoreRow:
     try:
         with threadpool_limits(limits=1), _alarm(task.time_limit):
             found = run_trial(task.source, task.trackers, task.seed, task.trial, task.metrics)
-    except TrialTimeout:
-        return failed(task.index, "timeout", f"longer than {task.time_limit:g} s")
+    except TrialTimeout as error:
+        notes = "\n".join(notes_of(error))
+        return failed(task.index, "timeout", f"longer than {task.time_limit:g} s", notes)
     except MemoryError:
         return failed(task.index, "memory", "out of memory")
     except Exception as error:
@@ -75,7 +77,9 @@ def compute(task: Task) -> StoreRow:
     if not found.errors:
         return StoreRow(task.index, "ok", canonical(result), time_)
     result["errors"] = {name: _plain(error.message) for name, error in found.errors.items()}
-    note = "\n".join(error.traceback for error in found.errors.values())
+    note = "\n".join(
+        "\n".join(error.notes) or error.traceback for error in found.errors.values()
+    )
     return StoreRow(task.index, "tracker raised", canonical(result), time_, note)
 
 

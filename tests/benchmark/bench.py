@@ -64,6 +64,8 @@ BARS = {
     "j_import": at_most("startup", "import pmbm / import numpy", 2),
     "j_plugin": at_most("startup", "numpy and highway_env imported by the pytest plugin", 0),
     "k": at_most("startup", "first `pmbm run` to its first result, s", 15),
+    "m_frame": at_most("programs", "a frame of 50 boxes around the C++ program, ms", 0.5),
+    "m_study": at_most("programs", "a study, tracker as a Python program / in process", 1.3),
     "t_record": at_most("trial", "recording a trial / that of commit e340b31", 0.45, 0.28),
     "t_step": at_most("trial", "following a trial / that of commit e340b31", 0.25, 0.10),
     "t_trial": at_most("trial", "a whole trial / that of commit e340b31", 0.42, 0.25),

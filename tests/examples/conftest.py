@@ -1,1 +1,1 @@
-collect_ignore = ["my_tracker"]
+collect_ignore = ["my_program", "my_tracker"]

@@ -16,7 +16,7 @@ LAYERS = [
     {"pmbm.assignment", "pmbm.filter", "pmbm.baselines", "pmbm.metrics", "pmbm.datasets"}
     | {"pmbm.fitting"},
     {"pmbm.named_modules", "pmbm.tracking", "pmbm.study", "pmbm.regression", "pmbm.tune"}
-    | {"pmbm.by_sensor"},
+    | {"pmbm.by_sensor", "pmbm.external"},
     {"pmbm.sim"},
     {"pmbm.reports"},
     {"pmbm.testing"},
