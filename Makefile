@@ -44,7 +44,7 @@ $(BASE): pyproject.toml Makefile $(NATIVE) | $(BIN)/python
 
 $(STAMP): pyproject.toml Makefile $(NATIVE) | $(BIN)/python
 	@echo "Setting up $(VENV), once: packages from PyPI for tests, linters and datasets, and the kernels compiled where a C++ compiler is. It takes a few minutes."
-	$(BIN)/python -m pip install --quiet --editable '.[test,lint,tune,waymo,argoverse2,tables,dask]'
+	$(BIN)/python -m pip install --quiet --editable '.[test,lint,tune,waymo,argoverse2,tables,dask,mcap,rerun]'
 	@$(CHECK_NATIVE)
 	@touch $@
 

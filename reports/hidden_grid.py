@@ -80,6 +80,12 @@ def coded(intensity: FloatArray) -> NDArray[np.uint8]:
     return np.where(step < -0.5, 0, np.clip(np.rint(step), 0, CODES - 1) + 1).astype(np.uint8)
 
 
+def decoded(code: NDArray[np.uint8]) -> FloatArray:
+    """The intensity that each code stands for, objects per m^2."""
+    exponent = DECADES * (code.astype(np.float64) - 1.0) / (CODES - 1)
+    return np.where(code == 0, 0.0, LOWEST * 10.0**exponent)
+
+
 def cell_masses(mixture: GaussianMixture, low: FloatArray, cell: float, n: int) -> FloatArray:
     """Expected objects (n,n), rows upward, in the square cells whose lower left corner is `low`.
 

@@ -60,6 +60,12 @@ HEADLINE = (
     show_default=True,
     help="Folder for the page.",
 )
+@click.option(
+    "--log",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.mcap|FILE.rrd",
+    help="Write the replayed trial for a viewer too: Foxglove or Rerun.",
+)
 @click.option("--page", help="The page's name, without .html.  [default: the scenario's name]")
 @click.option("--replay", "replay_trial", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option(
@@ -85,6 +91,7 @@ def command(
     level: str | None,
     json_file: str | None,
     out: Path,
+    log: Path | None,
     page: str | None,
     replay_trial: int,
     explain: int | None,
@@ -101,6 +108,7 @@ def command(
       pmbm run my_scene.toml --tracker my_package.tracking:MyTracker
       pmbm run my_package.drives:Drives --tracker pmbm --set sensor.clutter_rate=2
       pmbm run truck_occlusion --explain 9
+      pmbm run truck_occlusion --log truck.mcap
     """
     from pmbm.cli.settings import configured, shown_name
     from pmbm.cli.sources import resolve
@@ -129,6 +137,8 @@ def command(
     if level is not None:
         sources = [_at(source, level) for source in sources]
     # Found out before any trial, not after all.
+    if log is not None:
+        _check_log(log, scenarios)
     target = out / f"{page or sources[0].name}.html"
     check_writable(target)
     json_target = None if json_file in (None, "-") else Path(str(json_file))
@@ -173,6 +183,12 @@ def command(
     title = sources[0].name if len(sources) == 1 else (page or "run")
     replace_text(target, run_page(sections, title=title, command=repeat))
     click.echo(f"{target}", err=True)
+    replayed = sections[0].replay
+    if log is not None and replayed is not None:
+        from pmbm.reports.viewers import write_log
+
+        write_log(replayed, log)
+        click.echo(f"{log}", err=True)
     for story in stories:
         click.echo(story, err=json_file == "-")
     if json_file is not None:
@@ -182,6 +198,17 @@ def command(
         else:
             replace_text(json_target, text + "\n")
     return INTERRUPTED if stopped else int(failed)
+
+
+def _check_log(log: Path, scenarios: Sequence[str]) -> None:
+    from pmbm.errors import InputError
+    from pmbm.reports.viewers import check_log
+
+    if len(scenarios) > 1:
+        raise InputError(
+            "a log holds one trial", field="--log", expected="one scenario", got=list(scenarios)
+        )
+    check_log(log)
 
 
 def _arguments() -> Sequence[str]:

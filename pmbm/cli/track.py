@@ -50,6 +50,11 @@ if TYPE_CHECKING:
     show_default=True,
     help="Report each frame as it comes, or look back from the end.",
 )
+@click.option(
+    "--log",
+    metavar="FILE.mcap|FILE.rrd",
+    help="Write each sequence for a viewer too, Foxglove or Rerun; {sequence} stands for its name.",
+)
 @dataset_options.jobs
 def command(
     dataset_name: str,
@@ -62,6 +67,7 @@ def command(
     tracker_name: str,
     config: Path | None,
     mode: str,
+    log: str | None,
     jobs: int,
 ) -> None:
     """Run a tracker over DATASET and write what it says in the dataset's own format, one sequence
@@ -81,7 +87,10 @@ def command(
     trackers = class_trackers(dataset, tracker_name, config or preset(dataset_name, tracker_name))
     names = list(dict.fromkeys(sequences)) or dataset.sequences()
     prepare_folder(out)
-    tasks = [(dataset, name, trackers, out, mode) for name in names]
+    logs = _logs(log, names)
+    tasks = [
+        (dataset, name, trackers, out, mode, file) for name, file in zip(names, logs, strict=True)
+    ]
     for path in spread(track_sequence, tasks, jobs, "sequences"):
         click.echo(path)
 
@@ -92,10 +101,41 @@ def track_sequence(
     trackers: Mapping[Label, ConfiguredTracker],
     out: Path,
     mode: str = "online",
+    log: Path | None = None,
 ) -> Path:
-    """Track one sequence, write it, and say where."""
-    tracks = tracked(name, dataset.recording(name, truth=False), trackers, mode)
+    """Track one sequence, write it, and a log of it where one is named, and say where."""
+    recording = dataset.recording(name, truth=False)
+    tracks = tracked(name, recording, trackers, mode)
+    if log is not None:
+        from pmbm.reports.values import ReplayPage
+        from pmbm.reports.viewers import write_log
+
+        tracker = next(iter(trackers.values())).factory
+        write_log(ReplayPage(recording=recording, tracks={tracker: tracks}, title=name), log)
     return dataset.write(name, tracks, out)
+
+
+def _logs(log: str | None, sequences: Sequence[str]) -> list[Path | None]:
+    """The log of each sequence, where any is wanted.
+
+    Raises InputError, before anything is tracked, where one cannot be written.
+    """
+    from pmbm.errors import InputError
+    from pmbm.reports.viewers import check_log
+
+    if log is None:
+        return [None] * len(sequences)
+    if len(sequences) > 1 and "{sequence}" not in log:
+        raise InputError(
+            f"one log for {len(sequences)} sequences",
+            field="--log",
+            expected="{sequence} in its name",
+            got=log,
+        )
+    files = [Path(log.replace("{sequence}", name)) for name in sequences]
+    for file in files:
+        check_log(file)
+    return list(files)
 
 
 def tracked(

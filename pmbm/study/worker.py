@@ -77,9 +77,7 @@ def compute(task: Task) -> StoreRow:
     if not found.errors:
         return StoreRow(task.index, "ok", canonical(result), time_)
     result["errors"] = {name: _plain(error.message) for name, error in found.errors.items()}
-    note = "\n".join(
-        "\n".join(error.notes) or error.traceback for error in found.errors.values()
-    )
+    note = "\n".join("\n".join(error.notes) or error.traceback for error in found.errors.values())
     return StoreRow(task.index, "tracker raised", canonical(result), time_, note)
 
 

@@ -26,7 +26,9 @@ from pmbm.tracking import ByLabel, make_tracker, tracker_factory
 from pmbm.types import Label, MountedSensor
 
 HERE = Path(__file__).parent
-SCHEMA = json.loads((HERE.parents[1] / "docs" / "guide" / "tracker_protocol.schema.json").read_text())
+SCHEMA = json.loads(
+    (HERE.parents[1] / "docs" / "guide" / "tracker_protocol.schema.json").read_text()
+)
 VALID = jsonschema.Draft202012Validator(SCHEMA)
 
 
