@@ -120,6 +120,11 @@ def command(
     if code == 1 and against is not None and _is_accepted(task):
         text += f"\naccepted in {task.baseline}: passes"
         code = 0
+    if code == _EXIT["undecided"] and against is None:
+        text += (
+            f"\n{task.baseline} holds no more trials: --against GITREF runs both trackers until "
+            "the evidence decides"
+        )
     click.echo(text)
     if junit is not None:
         replace_text(junit, wording.junit(report, commands, task.study.name))

@@ -222,6 +222,14 @@ def test_accepting_says_what_it_changes(folder, capsys):
     assert "what was stored is of other recordings" in out
 
 
+def test_undecided_by_stored_values_says_what_to_do(folder, capsys):
+    arguments = ("gate", "night.toml", "--max-trials", "5")
+    assert pmbm(capsys, *arguments, "--accept")[0] == 0
+    code, out, _ = pmbm(capsys, *arguments)
+    assert code == 3
+    assert "night.baseline.json holds no more trials: --against GITREF" in out
+
+
 def test_no_values_of_a_tracker_that_raises_are_stored(folder, capsys):
     (folder / "mine_gated.py").write_text(TRACKER.format(shift=0.0) + RAISES)
     code, _, err = pmbm(capsys, "gate", "night.toml", "--accept", "--tracker", "mine_gated:Raises")
