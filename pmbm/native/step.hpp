@@ -337,8 +337,10 @@ class Stepper {
             ppp_detection_[p] = sensor_.detection_undetected * inside[p];
         }
         ppp_if_detected_ = ppp_detection_;
-        missed_mean_ = mean_;
-        missed_cov_ = cov_;
+        if (sensor_.hides) {
+            missed_mean_ = mean_;
+            missed_cov_ = cov_;
+        }
         ppp_missed_mean_ = ppp_.mean;
         ppp_missed_cov_ = ppp_.cov;
         if (sensor_.hides) hide();
@@ -561,8 +563,8 @@ class Stepper {
         const auto missed = runs_[0].size(), detected = runs_[1].size();
         if (candidate < missed) {
             const auto h = static_cast<std::size_t>(runs_[0][candidate]);
-            std::copy_n(missed_mean_.data() + 4 * h, 4, mean);
-            std::copy_n(missed_cov_.data() + 16 * h, 16, cov);
+            std::copy_n((sensor_.hides ? missed_mean_ : mean_).data() + 4 * h, 4, mean);
+            std::copy_n((sensor_.hides ? missed_cov_ : cov_).data() + 16 * h, 16, cov);
         } else if (candidate < missed + detected) {
             const auto pair = static_cast<std::size_t>(runs_[1][candidate - missed]);
             const auto h = static_cast<std::size_t>(row_[pair]);
@@ -590,6 +592,12 @@ class Stepper {
         out_.box.resize(5 * rows.size());
         out_.history.resize(L * rows.size());
         out_.source.resize(local_.classes * rows.size());
+        for (auto* column : {&out_.existence, &out_.detection}) column->reserve(rows.size());
+        for (auto* column : {&out_.newest, &out_.from, &out_.measurement}) {
+            column->reserve(rows.size());
+        }
+        out_.label.reserve(rows.size());
+        out_.shown.reserve(rows.size());
         for (std::size_t i = 0; i < rows.size(); ++i) {
             const auto candidate = static_cast<std::size_t>(rows[i]);
             out_.existence.push_back(existence_after_[candidate]);

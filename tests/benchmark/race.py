@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -20,6 +21,7 @@ from pmbm.labels import Label
 SEEDS = range(5)
 WARM_UP, FRAMES = 20, 60
 LARGE = (1_000, 10_000, 100_000)
+MILLION = 1_000_000
 
 Figure = tuple[float, dict[str, Any]]
 
@@ -135,19 +137,25 @@ def e() -> Figure:
     return float(np.median(ratios)), {"ratio_min": min(ratios), "ratio_max": max(ratios)}
 
 
-@cache
 def large() -> list[dict[str, Any]]:
-    """Seconds a frame and peak memory of large scenes, each in a process of its own."""
-    found = []
-    for seed in SEEDS:
-        for objects in LARGE:
-            run = subprocess.run(
-                [sys.executable, __file__, str(objects), str(seed)],
-                check=True,
-                capture_output=True,
-                text=True,
-            )
-            found.append(json.loads(run.stdout))
+    """Seconds a frame and peak memory of large scenes."""
+    return _runs(LARGE, SEEDS)
+
+
+def _runs(sizes: Sequence[int], seeds: Sequence[int]) -> list[dict[str, Any]]:
+    return [_large_alone(objects, seed) for seed in seeds for objects in sizes]
+
+
+@cache
+def _large_alone(objects: int, seed: int) -> dict[str, Any]:
+    """In a process of its own."""
+    run = subprocess.run(
+        [sys.executable, __file__, str(objects), str(seed)],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    found: dict[str, Any] = json.loads(run.stdout)
     return found
 
 
@@ -172,12 +180,31 @@ def b_memory() -> Figure:
     return float(np.median(peaks)), {"max": max(peaks)}
 
 
+def b_million() -> Figure:
+    """Slope of log seconds over log objects, 10^5 to 10^6, of the first 5 frames, when nothing is
+    known yet and most is to be done."""
+    fewer, run = _runs([LARGE[-1], MILLION], seeds=[0])
+    times = run["first_five"] / fewer["first_five"]
+    slope = np.log10(times) / np.log10(MILLION / LARGE[-1])
+    return float(slope), {"seconds": run["first_five"], "megabytes": run["megabytes"]}
+
+
+def b_million_memory() -> Figure:
+    """Peak memory in GB of the same."""
+    (run,) = _runs([MILLION], seeds=[0])
+    return run["megabytes"] / 1e3, {}
+
+
 def _large(objects: int, seed: int) -> dict[str, Any]:
     import resource
 
     world = World(objects, 15.0, seed)
-    tracker = PMBMTracker(world.config(), world.site)
-    warm_up, frames = 6, 10
+    # As many tracks as there are objects, and no limit that makes the last ones cheap.
+    config = world.config().changed(
+        {"reduction.max_tracks": 20 * objects, "reduction.max_undetected": 20 * objects}
+    )
+    tracker = PMBMTracker(config, world.site)
+    warm_up, frames = (0, 5) if objects == MILLION else (6, 10)
     seconds = []
     for _, detections in world.each_frame(frames):
         begin = time.process_time()
@@ -186,7 +213,13 @@ def _large(objects: int, seed: int) -> dict[str, Any]:
     unit = 1 if sys.platform == "darwin" else 1024
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
     median = float(np.median(seconds[warm_up:]))
-    return {"objects": objects, "seed": seed, "seconds": median, "megabytes": peak}
+    return {
+        "objects": objects,
+        "seed": seed,
+        "seconds": median,
+        "first_five": sum(seconds[:5]),
+        "megabytes": peak,
+    }
 
 
 def _as_tracks(when: float, rows: np.ndarray) -> Tracks:

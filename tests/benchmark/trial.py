@@ -9,9 +9,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import resource
 import statistics
 import subprocess
 import sys
+import sysconfig
 import tempfile
 from collections.abc import Iterator
 from functools import cache
@@ -41,6 +43,45 @@ def t_trial() -> tuple[float, dict[str, Any]]:
     return _ratio(0, 3)
 
 
+def m_map() -> tuple[float, dict[str, Any]]:
+    """Following with the map of undetected objects, where trucks hide what is behind them."""
+    with _built(None) as ours, _built(EARLIER) as earlier:
+        pairs = _pairs(ours, earlier, "truck_occlusion", "map")
+    ratios = [mine[1] / theirs[1] for mine, theirs in pairs]
+    return statistics.median(ratios), {"ratio_min": min(ratios), "ratio_max": max(ratios)}
+
+
+def s_study() -> tuple[float, dict[str, Any]]:
+    """Trials a CPU second of `pmbm study` over the scenarios, with all that it starts, against the
+    earlier commit's."""
+    with _installed(None) as ours, _installed(EARLIER) as earlier:
+        ratios = [_study_seconds(earlier, seed) / _study_seconds(ours, seed) for seed in range(3)]
+    return statistics.median(ratios), {"ratio_min": min(ratios), "ratio_max": max(ratios)}
+
+
+def _study_seconds(build: Path, seed: int) -> float:
+    """CPU seconds of a study of a build, its workers included."""
+    study = {"trackers": ["pmbm"], "trials": 12, "seed": seed, "scenarios": list(SCENARIOS)}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "study.toml"
+        file.write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in study.items()))
+        # An editable install would be found first: empty modules of the names that it goes by.
+        for finder in Path(sysconfig.get_path("purelib")).glob("_editable_*.py"):
+            (Path(folder) / finder.name).touch()
+        command = [sys.executable, "-c", "from pmbm.cli import main; main()", "study"]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(
+            [*command, str(file), "--store", str(Path(folder) / "store.sqlite"), "--jobs", "2"],
+            check=True,
+            cwd=folder,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{build}", "PMBM_CACHE": folder},
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
 def _ratio(first: int, last: int) -> tuple[float, dict[str, Any]]:
     """Ours over the earlier commit's, of the parts of a trial from `first` to before `last`."""
     each = {
@@ -56,19 +97,22 @@ def _ratio(first: int, last: int) -> tuple[float, dict[str, Any]]:
 def _trials() -> dict[str, list[tuple[list[float], list[float]]]]:
     """Of each scenario and seed, the seconds of the parts of our trial and of the earlier one."""
     with _built(None) as ours, _built(EARLIER) as earlier:
-        found = {}
-        for name in SCENARIOS:
-            for worker in (ours, earlier):
-                # What is loaded and compiled once.
-                _seconds(worker, name, 1_000_000)
-            pairs = []
-            for seed in SEEDS:
-                times = {
-                    worker: _seconds(worker, name, seed) for worker in _turns(seed, ours, earlier)
-                }
-                pairs.append((times[ours], times[earlier]))
-            found[name] = pairs
-        return found
+        return {name: _pairs(ours, earlier, name, "default") for name in SCENARIOS}
+
+
+def _pairs(
+    ours: subprocess.Popen[str], earlier: subprocess.Popen[str], name: str, kind: str
+) -> list[tuple[list[float], list[float]]]:
+    for worker in (ours, earlier):
+        # What is loaded and compiled once.
+        _seconds(worker, name, 1_000_000, kind)
+    pairs = []
+    for seed in SEEDS:
+        times = {
+            worker: _seconds(worker, name, seed, kind) for worker in _turns(seed, ours, earlier)
+        }
+        pairs.append((times[ours], times[earlier]))
+    return pairs
 
 
 def _turns(seed: int, *workers: Any) -> tuple[Any, ...]:
@@ -76,10 +120,10 @@ def _turns(seed: int, *workers: Any) -> tuple[Any, ...]:
     return workers if seed % 2 else workers[::-1]
 
 
-def _seconds(worker: subprocess.Popen[str], name: str, seed: int) -> list[float]:
+def _seconds(worker: subprocess.Popen[str], name: str, seed: int, kind: str) -> list[float]:
     assert worker.stdin is not None
     assert worker.stdout is not None
-    worker.stdin.write(json.dumps([name, seed]) + "\n")
+    worker.stdin.write(json.dumps([name, seed, kind]) + "\n")
     worker.stdin.flush()
     answer = worker.stdout.readline()
     if not answer:
@@ -90,7 +134,26 @@ def _seconds(worker: subprocess.Popen[str], name: str, seed: int) -> list[float]
 
 @contextlib.contextmanager
 def _built(commit: str | None) -> Iterator[subprocess.Popen[str]]:
-    """A worker that runs a commit, or the project as it stands, built into a folder of its own."""
+    """A worker that runs a commit, or the project as it stands."""
+    with _installed(commit) as target:
+        worker = subprocess.Popen(
+            [sys.executable, str(HERE / "trial_worker.py")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=target.parent,
+            env={**os.environ, "PYTHONPATH": str(target)},
+        )
+        try:
+            yield worker
+        finally:
+            worker.kill()
+            worker.wait()
+
+
+@contextlib.contextmanager
+def _installed(commit: str | None) -> Iterator[Path]:
+    """A commit, or the project as it stands, built into a folder of its own."""
     with tempfile.TemporaryDirectory() as folder:
         source, target = REPOSITORY, Path(folder) / "build"
         if commit is not None:
@@ -103,16 +166,4 @@ def _built(commit: str | None) -> Iterator[subprocess.Popen[str]]:
                 raise RuntimeError(f"no commit {commit} here: fetch the repository's history")
         install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
         subprocess.run([*install, "--target", str(target), str(source)], check=True)
-        worker = subprocess.Popen(
-            [sys.executable, str(HERE / "trial_worker.py")],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=folder,
-            env={**os.environ, "PYTHONPATH": str(target)},
-        )
-        try:
-            yield worker
-        finally:
-            worker.kill()
-            worker.wait()
+        yield target

@@ -1,8 +1,8 @@
 """Trials of one build of the project, timed in a process of its own.
 
 Started by trial.py as `python trial_worker.py`, with the build first on PYTHONPATH; runs any commit
-since the first that was measured.  Each line in names a scenario and a seed, each line out the CPU
-seconds of recording, following and evaluating.
+since the first that was measured.  Each line in names a scenario, a seed and the tracker, "default"
+or "map"; each line out the CPU seconds of recording, following and evaluating.
 """
 
 import itertools
@@ -25,12 +25,13 @@ def main():
     # Every scene is simulated.
     scenarios.cached = lambda name, key, seed, trial, make: make()
     for line in sys.stdin:
-        name, seed = json.loads(line)
+        name, seed, kind = json.loads(line)
         source = scenarios.load_scenario(name)
         clock = [time.process_time()]
         recording = source.record(seed)
         clock.append(time.process_time())
-        tracks = run(PMBMTracker(site=recording.site), recording)
+        made = PMBMTracker.with_map if kind == "map" else PMBMTracker
+        tracks = run(made(site=recording.site), recording)
         clock.append(time.process_time())
         evaluate(recording, tracks)
         clock.append(time.process_time())

@@ -372,8 +372,8 @@ FILTER_PLANTS = [
     _filter(
         "one of two objects goes by the other's id",
         "identity/inheritance",
-        "if at_least_both < _TWO and reported_as not in ids[reported]:",
-        "if reported_as not in ids[reported]:",
+        "            if at_least_both >= _TWO:\n",
+        "            if False:\n",
         by="tests/unit/test_filter_inheritance.py::test_two_objects_keep_their_own[both are there]",
     ),
     _filter(

@@ -174,7 +174,7 @@ BAD_SPACES = [
         "survival.probability = { low = 0.9, high = 1.2 }",
         "survival.probability.*at least 0 and at most 1, got 1.2",
     ),
-    ('scores.kind = ["first", "evrywhere"]', "scores.kind.*valid kinds: classes, every"),
+    ('scores.kind = ["first", "evrywhere"]', "scores.kind.*did you mean 'every'"),
     ("", "nothing to tune"),
     ("= 3", "not valid TOML"),
 ]

@@ -81,13 +81,26 @@ class IdInheritance:
     def _named(self, density: Density, existence: FloatArray, reported: Index) -> Density:
         """Let candidates that are reported inherit the ids of tracks that are reported no more,
         unless both are there."""
+        names = density.track_id.tolist()
+        row_of = dict(zip(names, range(len(names)), strict=True))
+        shown = {names[row] for row in reported.tolist()}
+        heirs = dict(zip(self.candidate.tolist(), self.reported_as.tolist(), strict=True))
+        renamed = _Exchanges()
         for row in reported[_among(density.track_id[reported], self.candidate)].tolist():
-            ids = density.track_id
-            reported_as = self.reported_as[np.searchsorted(self.candidate, ids[row])]
-            at_least_both = existence[row] + existence[ids == reported_as].sum() - 1
-            if at_least_both < _TWO and reported_as not in ids[reported]:
-                density = _exchanged(density, int(ids[row]), int(reported_as))
-        return density
+            own = names[row]
+            reported_as = heirs.get(own)
+            if reported_as is None or reported_as in shown:
+                continue
+            other = row_of.get(reported_as)
+            at_least_both = existence[row] + (0.0 if other is None else existence[other]) - 1
+            if at_least_both >= _TWO:
+                continue
+            names[row], row_of[reported_as] = reported_as, row
+            if other is not None:
+                names[other], row_of[own] = own, other
+            shown.symmetric_difference_update((own, reported_as))
+            renamed.exchange(own, reported_as)
+        return renamed.of(density)
 
 
 def _among(ids: IntArray, rising: IntArray) -> BoolArray:
@@ -123,17 +136,33 @@ def _known(density: Density) -> IntArray:
     return np.concatenate([density.track_id, recycled.track])
 
 
-def _exchanged(density: Density, one: int, other: int) -> Density:
-    """With the ids of two tracks exchanged, also where one was recycled."""
+class _Exchanges:
+    """Ids that are exchanged two by two, one exchange after the other."""
 
-    def exchanged(ids: IntArray) -> IntArray:
-        swapped: IntArray = np.select([ids == one, ids == other], [other, one], ids)
-        return swapped
+    def __init__(self) -> None:
+        self.after: dict[int, int] = {}
+        self.before: dict[int, int] = {}
 
-    undetected = density.undetected
-    if undetected.recycled_from is not None:
-        recycled_from = replace(
-            undetected.recycled_from, track=exchanged(undetected.recycled_from.track)
-        )
-        undetected = replace(undetected, recycled_from=recycled_from)
-    return replace(density, undetected=undetected, track_id=exchanged(density.track_id))
+    def exchange(self, one: int, other: int) -> None:
+        first, second = self.before.get(one, one), self.before.get(other, other)
+        self.after |= {first: other, second: one}
+        self.before |= {other: first, one: second}
+
+    def of(self, density: Density) -> Density:
+        """With the ids of its tracks exchanged, also where one was recycled."""
+        if not self.after:
+            return density
+        undetected = density.undetected
+        if undetected.recycled_from is not None:
+            recycled_from = replace(
+                undetected.recycled_from, track=self._ids(undetected.recycled_from.track)
+            )
+            undetected = replace(undetected, recycled_from=recycled_from)
+        return replace(density, undetected=undetected, track_id=self._ids(density.track_id))
+
+    def _ids(self, ids: IntArray) -> IntArray:
+        old = np.array(sorted(self.after))
+        new = np.array([self.after[one] for one in old.tolist()])
+        at = np.searchsorted(old, ids).clip(max=len(old) - 1)
+        exchanged: IntArray = np.where(old[at] == ids, new[at], ids)
+        return exchanged
