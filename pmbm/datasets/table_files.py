@@ -141,7 +141,7 @@ def _read_parquet(path: Path) -> Any:
     import pyarrow.parquet
 
     try:
-        # By its bytes: of its path, Arrow would take folders such as "class=car" for columns.
+        # By its bytes, so that nothing is taken from the path: folders such as "class=car".
         with arrow.memory_map(str(path)) as content, pyarrow.parquet.ParquetFile(content) as file:
             table = file.read()
         # Buffers that point outside themselves are found here, before anything reads them.

@@ -534,7 +534,7 @@ def test_rows_of_parquet_count_from_0(folder):
 
 
 def test_a_folder_named_like_a_column_adds_none(folder):
-    """Arrow takes folders such as class=car for a column of every file in them."""
+    """Datasets of many files may have folders such as class=car for columns; a table has not."""
     logs = folder / "class=truck"
     put(logs / "truth" / "none", "")
     table = pd.DataFrame({"time": [0.0], "id": [1], "x": [0.0], "y": [0.0]})
