@@ -71,8 +71,11 @@ def races(objects: int) -> list[Race]:
 
 
 def over(objects: int, numerator: str, denominator: str) -> Figure:
-    """Median over seeds of the ratio of two times, and everybody's scores."""
-    runs = races(objects)
+    return _over(races(objects), numerator, denominator)
+
+
+def _over(runs: list[Race], numerator: str, denominator: str) -> Figure:
+    """Median over runs of the ratio of two times, and everybody's scores."""
     ratios = [run.seconds[numerator] / run.seconds[denominator] for run in runs]
     details: dict[str, Any] = {"ratio_min": min(ratios), "ratio_max": max(ratios)}
     for name in (numerator, denominator):
@@ -118,6 +121,15 @@ def d_motpy() -> Figure:
 
 def d_norfair() -> Figure:
     return over(50, "norfair", "pmbm")
+
+
+def d_lmb_gibbs() -> Figure:
+    return _over([Race(50, seed, ("lmb_gibbs",)) for seed in SEEDS], "lmb_gibbs", "pmbm")
+
+
+def d_lmb_murty() -> Figure:
+    """Of one seed: a frame takes it a second."""
+    return _over([Race(50, 0, ("lmb_murty",))], "lmb_murty", "pmbm")
 
 
 def e() -> Figure:

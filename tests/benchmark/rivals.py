@@ -2,18 +2,18 @@
 
 filterpy runs in this process; Stone Soup, motpy and norfair (its maintained fork, norfair-enough)
 bring many packages of their own, so they live in a virtual environment of their own in the cache
-folder, made when it is missing.
+folder, made when it is missing; the labelled multi-Bernoulli filters in another, of a later Python.
 """
 
 from __future__ import annotations
 
 import io
 import os
+import shutil
 import struct
 import subprocess
 import sys
 import time
-import venv
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,8 @@ from world import DT, MEASUREMENT_SD
 from pmbm.sim.scenario.cache import cache_folder
 
 PACKAGES = ("stonesoup==1.9.1", "motpy==0.0.10", "norfair-enough==2.4.3")
+LMB_PACKAGES = ("numpy", "multisensor-lmb-filters-rs==0.3.2")
+"""Of Python 3.12 and later."""
 GATE = 3.0
 
 
@@ -91,7 +93,7 @@ class Worker:
         script = Path(__file__).with_name("rival_worker.py")
         threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         self.process = subprocess.Popen(
-            [environment(), script, name],
+            [environment(lmb=name.startswith("lmb")), script, name],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -114,15 +116,30 @@ class Worker:
         self.process.wait(timeout=30)
 
 
-def environment() -> Path:
-    """The rivals' Python; their environment is made on first use."""
-    folder = cache_folder() / "rivals"
+def environment(*, lmb: bool) -> Path:
+    """The Python of the rivals, or of those that need a later one; their environment is made on
+    first use."""
+    folder = cache_folder() / ("rivals_lmb" if lmb else "rivals")
+    packages = LMB_PACKAGES if lmb else PACKAGES
     python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     made = folder / "packages.txt"
-    wanted = "\n".join(PACKAGES)
+    wanted = "\n".join(packages)
     if not made.exists() or made.read_text() != wanted:
         print(f"making the rivals' environment in {folder}", file=sys.stderr)
-        venv.create(folder, with_pip=True, clear=True)
-        subprocess.run([python, "-m", "pip", "install", "--quiet", *PACKAGES], check=True)
+        base = _python_312() if lmb else sys.executable
+        subprocess.run([base, "-m", "venv", "--clear", folder], check=True)
+        subprocess.run([python, "-m", "pip", "install", "--quiet", *packages], check=True)
         made.write_text(wanted)
     return python
+
+
+def _python_312() -> str:
+    """This Python, or one of the path, of 3.12 or later."""
+    if sys.version_info >= (3, 12):
+        return sys.executable
+    for minor in range(12, 15):
+        # What is called so may be a shim of a version that is not there.
+        found = shutil.which(f"python3.{minor}")
+        if found and not subprocess.run([found, "-c", ""], stderr=subprocess.DEVNULL).returncode:
+            return found
+    raise LookupError("multisensor-lmb-filters-rs runs on Python 3.12 and later: none on the path")
