@@ -26,7 +26,19 @@ def _parquet(recording: Recording, name: str, out: Path) -> Path:
     return _tables(recording, name, out, "parquet")
 
 
-FORMATS: Final[dict[str, Writer]] = {"csv": _csv, "parquet": _parquet}
+def _mcap(recording: Recording, name: str, out: Path) -> Path:
+    """A log without tracks."""
+    from pmbm.datasets.files import Place, prepare_folder, safe_name
+    from pmbm.reports.values import ReplayPage
+    from pmbm.reports.viewers import write_log
+
+    safe_name(name, Place(out), "name")
+    file = prepare_folder(out) / f"{name}.mcap"
+    write_log(ReplayPage(recording=recording, tracks={}, title=name), file)
+    return file
+
+
+FORMATS: Final[dict[str, Writer]] = {"csv": _csv, "parquet": _parquet, "mcap": _mcap}
 """Of `--format`; a format is a function here."""
 
 
@@ -60,7 +72,8 @@ def command(
     sequences: tuple[str, ...],
 ) -> None:
     """Write recordings as tables: truth, detections and poses, one row a box, and table.toml; what
-    the dataset `table` reads of them has the same bits (docs/guide/tables.md).
+    the dataset `table` reads of them has the same bits (docs/guide/tables.md).  Or, as mcap, for a
+    viewer (docs/guide/viewers.md).
 
     \b
     Examples:

@@ -319,6 +319,17 @@ def test_run_writes_the_replayed_trial(tmp_path, capsys, monkeypatch):
     assert "a log holds one trial" in capsys.readouterr().err
 
 
+def test_export_writes_a_log_without_tracks(tmp_path, capsys):
+    arguments = ["export", str(PASSING), "--seed", "3", "--format", "mcap", "--out", str(tmp_path)]
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    found = messages(Path(line))
+    assert set(found) == {"/tf", "/site", "/truth", "/detections"}
+    assert len(found["/truth"]) == 50
+
+
 ROS = """
 import json, sys, types
 
@@ -357,7 +368,7 @@ module("std_msgs.msg", String=String)
 def test_the_bridge_to_ros_hands_lines_on_and_back(replay, tmp_path):
     """With a stand-in for rclpy: what is tested is the page's program."""
     page = (Path(__file__).parents[2] / "docs" / "guide" / "viewers.md").read_text()
-    (program,) = re.findall(r"```py\n(.*?)```", page, re.DOTALL)
+    program, *_ = re.findall(r"```py\n(.*?)```", page, re.DOTALL)
     file = tmp_path / "bridge.py"
     file.write_text(ROS + program)
     tracker = tracker_factory(f"exec:{sys.executable} {file}")(replay.recording.site)
