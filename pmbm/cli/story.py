@@ -41,14 +41,14 @@ def story_of(
     history = max(_HISTORY, made.config.report.history)
     config = made.config.changed({"report.history": history})
     sequence = run(PMBMTracker(config, recording.site), recording, record=True)
-    # The first delivery of a frame is the one that was taken in.
-    deliveries = zip(recording.frame.tolist(), recording.detections, strict=True)
-    first = dict(reversed(list(deliveries)))
+    # Of the deliveries of a frame, the last that was taken in: the report is what followed it.
+    given = recording.handed_over()
+    last = dict(zip(recording.frame[given].tolist(), given.tolist(), strict=True))
     story = tell(
         track_id,
         sequence.inspections or (),
         sequence.steps,
-        [first[frame] for frame in sequence.frame.tolist()],
+        [recording.detections[last[frame]] for frame in sequence.frame.tolist()],
         recycle_below=config.reduction.recycle_below,
     )
     return f"{tracker}, {source.name}, trial {trial} of seed {seed}\n{story}"

@@ -6,6 +6,7 @@ python -m pytest tests/statistical/test_sensors_proof.py -m slow -s       prints
 
 import os
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from pmbm import PMBMConfig, PMBMTracker, evaluate, run
 from pmbm.by_sensor import OneSensor, TracksPerSensor
 from pmbm.filter import DetectionChain, FixedDetection, Sensor
 from pmbm.geometry import wrap_angle
-from pmbm.sim import load_scenario
+from pmbm.sim.scenario.scenario import Scenario, load_scenario
 from pmbm.types import TrackSequence
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -223,3 +224,37 @@ def test_a_sensor_wrongly_believed(verified, capsys):
             figure=f"{cost:.3f}",
             verdict="report",
         )
+
+
+def test_what_a_second_sensor_costs(verified, capsys):
+    """Two sensors, each at the rate of the one: CPU time of steps in all, and by local hypothesis
+    that they look at."""
+    document = {**load_scenario("density").document, "duration": 5.0}
+    second = {"mount": [2.0, 0.0, 0.0]}
+    several = {**document, "sensors": {"first": {}, "second": second}}
+    for objects in (10, 50):
+        one, two = (Scenario(each).at(objects).record(1) for each in (document, several))
+        alone_s, alone_n = min(cost(one) for _ in range(5))
+        both_s, both_n = min(cost(two) for _ in range(5))
+        in_all, each = both_s / alone_s, (both_s / both_n) / (alone_s / alone_n)
+        with capsys.disabled():
+            print(f"\n{objects} objects: {in_all:.2f} in all, {each:.2f} a local hypothesis")
+        what = (
+            f"CPU time of two sensors, each at the rate of the one, over that of one, {objects} "
+            f"objects; {each:.2f} a local hypothesis that a step looks at, of which there are "
+            f"{both_n / alone_n:.2f} times as many"
+        )
+        verified("sensors_cost", what, round(in_all, 2), 3.2, bool(in_all <= 3.2 and each <= 2.2))
+        assert in_all <= 3.2
+        assert each <= 2.2
+
+
+def cost(recording):
+    """CPU time of all steps, s, and the local hypotheses after each, added up."""
+    tracker, seconds, hypotheses = PMBMTracker(None, recording.site), 0.0, 0
+    for delivery in recording.handed_over():
+        start = time.process_time()
+        tracker.step(recording.detections[delivery])
+        seconds += time.process_time() - start
+        hypotheses += len(tracker.density.local)
+    return seconds, hypotheses

@@ -1,13 +1,17 @@
 """Several sensors of a scene: each on its own mount, clock, streams and detector; one recording."""
 
 import pickle
+import re
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
 
-from pmbm import InputError, run
+from pmbm import InputError, Recording, run
 from pmbm.sim.scenario.scenario import Scenario
+from pmbm.study.configured import ConfiguredTracker, follow
 from pmbm.tracking import track, tracker_factory
 from pmbm.types import CLUTTER, MountedSensor
 
@@ -346,3 +350,35 @@ def test_the_picture_names_the_sensors():
     figure = scene_picture(recording, {"pmbm": tracks}, 10)
     said = [text.get_text() for text in figure.legends[0].get_texts()]
     assert {"detection, front", "detection, rear"} <= set(said)
+
+
+def test_the_page_describes_a_vehicle_that_can_be_recorded_and_tracked():
+    page = Path(__file__).parents[2] / "docs" / "guide" / "sensors.md"
+    text = page.read_text(encoding="utf-8")
+    vehicle, tracker = map(tomllib.loads, re.findall(r"```toml\n(.*?)```", text, re.DOTALL))
+    named = {"name": "mine", "stresses": "what the page describes", "duration": 1.0}
+    recording = Scenario({**vehicle, **named}).record(0)
+    looks = [sum(one.sensor == name for one in recording.detections) for name in ("lidar", "radar")]
+    assert looks == [10, 20]
+    assert recording.site.latency == 0.05
+    (mine,) = tracker["tracker"].values()
+    made = ConfiguredTracker(mine["factory"], tuple(mine["parameters"].items()))(recording.site)
+    assert made.config.sensors["radar"].range_sd == 0.35
+    assert len(run(made, recording)) == 20
+
+
+def test_the_study_of_the_page_can_be_run():
+    from pmbm.cli.sources import resolve
+    from pmbm.study.file import load_study
+
+    study = load_study(Path(__file__).parents[2] / "studies" / "sensors.toml", resolve)
+    recording = scenario({"lidar": {}, "radar": {"detector": {"profile": "radar"}}}).record(0)
+    for name, tracker in study.cells[0].trackers.items():
+        assert len(follow(tracker, recording, 0)) == 40, name
+
+
+def test_tables_give_every_sensor_back():
+    recording = scenario({"a": {"detector": RADAR}, "b": {"rate": 5, "latency": 0.1}}).record(3)
+    again = Recording.from_tables(recording.to_tables(), site=recording.site)
+    assert again.digest() == recording.digest()
+    assert again.observable_by.keys() == recording.observable_by.keys()
