@@ -122,23 +122,29 @@ def _pieces(number: int, one: RecordedObject, time: FloatArray, step: float) -> 
                     label=one.label,
                     size=one.size,
                     first=first,
-                    position=_sampled(when, at, one.position[own]),
-                    yaw=_sampled(when, at, np.unwrap(one.yaw[own])[:, None])[:, 0],
+                    position=_sampled(when, at, one.position[own], one.position[own]),
+                    yaw=_sampled(when, at, np.unwrap(one.yaw[own]), one.yaw[own]),
                     crashed=one.crashed[own][np.searchsorted(at, when + _AT_A_SAMPLE) - 1],
                 )
             )
     return found
 
 
-def _sampled(when: FloatArray, at: FloatArray, values: FloatArray) -> FloatArray:
-    """Columns of values (T,C) at other times, linear between the samples, and at a sample its own
-    bits."""
-    columns = [np.interp(when, at, column) for column in values.T]
-    made = np.stack(columns, axis=1)
-    nearest = np.clip(np.searchsorted(at, when), 1, max(len(at) - 1, 1)) if len(at) > 1 else 0
-    nearest = nearest - (np.abs(when - at[nearest - 1]) < np.abs(when - at[nearest])) * 1
+def _sampled(
+    when: FloatArray, at: FloatArray, smooth: FloatArray, values: FloatArray
+) -> FloatArray:
+    """Values (T,...) at other times, linear between the samples, and at a sample its own bits.
+
+    smooth (T,...) : the same, of angles without jumps by a whole turn.
+    """
+    place = np.interp(when, at, np.arange(len(at)))
+    before = np.minimum(place.astype(np.int64), max(len(at) - 2, 0))
+    after = np.minimum(before + 1, len(at) - 1)
+    share = (place - before).reshape(-1, *[1] * (values.ndim - 1))
+    made = np.asarray(smooth[before] + share * (smooth[after] - smooth[before]), np.float64)
+    nearest = np.rint(place).astype(np.int64)
     exact = np.abs(when - at[nearest]) <= _AT_A_SAMPLE
-    made[exact] = values[nearest[exact]] if len(at) > 1 else values[0]
+    made[exact] = values[nearest[exact]]
     return made
 
 

@@ -1,7 +1,9 @@
 """Recorded traffic as a scene: tables, CommonRoad, SUMO; each trap of their files has a test."""
 
+import itertools
 import json
 import math
+import os
 import warnings
 from pathlib import Path
 
@@ -91,19 +93,21 @@ class TestResampling:
         start = data.draw(st.sampled_from([0.0, 0.3, 1.7e9]))
         times = [start + k * step for k in range(count)]
         place = st.floats(-50, 50)
-        rows = [(data.draw(place), data.draw(place)) for _ in times]
+        angle = st.floats(-np.pi, np.pi, exclude_max=True)
+        rows = [(data.draw(place), data.draw(place), data.draw(angle)) for _ in times]
         with tempfile.TemporaryDirectory() as folder:
-            text = "time,id,x,y\n" + "".join(
-                f"{t!r},1,{x!r},{y!r}\n" for t, (x, y) in zip(times, rows, strict=True)
+            text = "time,id,x,y,yaw\n" + "".join(
+                f"{t!r},1,{x!r},{y!r},{a!r}\n" for t, (x, y, a) in zip(times, rows, strict=True)
             )
             rate = round(1 / min(step, 0.1))
             duration = (count - 1) * step
             sensor = "sensor = { max_range = 1000.0 }\n"
             made = scene(Path(folder), "log.csv", text, more=sensor, duration=duration, rate=rate)
         every = max(round(step * rate), 1)
-        for k, (x, y) in enumerate(rows):
+        for k, (x, y, a) in enumerate(rows):
             if k * every < len(made):
                 assert made.truth[k * every].position[0, :2].tolist() == [x, y]
+                assert made.truth[k * every].yaw.tolist() == [a]
 
     def test_an_object_that_is_away_is_not_drawn_through(self, tmp_path):
         text = "time,id,x,y\n" + "".join(
@@ -197,6 +201,29 @@ class TestCommonRoad:
         with pytest.raises(InputError, match=said) as error:
             scene(tmp_path, "bad.xml", text)
         assert error.value.file == str(tmp_path / "bad.xml")
+
+
+@pytest.mark.skipif("PMBM_DATA" not in os.environ, reason="PMBM_DATA is unset: no real logs")
+@pytest.mark.parametrize(
+    ("name", "sensor", "seconds"),
+    [
+        ("USA_US101-10_1_T-1", [60.0, -60.0, 0.0], 3.0),
+        ("USA_Peach-2_1_T-1", [0.0, 0.0, 0.0], 3.0),
+        ("DEU_Lohmar-64_1_T-1", [-550.0, -420.0, 0.0], 9.0),
+        ("ARG_Carcarana-4_5_T-1", [-290.0, -380.0, 0.0], 3.0),
+    ],
+)
+def test_real_traffic(tmp_path, name, sensor, seconds):
+    """NGSIM and SUMO through CommonRoad: no car leaps, and velocities agree with places."""
+    file = Path(os.environ["PMBM_DATA"]) / "commonroad" / f"{name}.xml"
+    made = scene(tmp_path, str(file), more=f"sensor.pose = {sensor}\n", duration=seconds)
+    assert sum(map(len, made.truth)) > 10
+    for before, after in itertools.pairwise(made.truth):
+        both, old, new = np.intersect1d(before.id, after.id, return_indices=True)
+        moved = np.hypot(*(after.position[new] - before.position[old])[:, :2].T) / 0.1
+        speed = np.hypot(*before.velocity[old].T)
+        assert (np.abs(moved - speed) < 3.0).all(), both
+        assert (moved < 50).all()
 
 
 def made_id(made, name):
