@@ -329,6 +329,13 @@ def test_against_a_commit(history, capsys):
     code, out, _ = pmbm(capsys, "gate", "night.toml", "--against", "c1")
     assert code == 1
     assert "ospa 0 -> 0\n" not in out
+    # The printed replay shows both.
+    ((trial, command),) = re.findall(REPLAY, out)
+    assert "--against c1" in command
+    assert pmbm(capsys, *shlex.split(command)[1:])[0] == 0
+    (page,) = (history / "reports").glob("*.html")
+    assert f"trial {trial} of seed 0" in page.read_text()
+    assert '<span class="key t1"><span>c1</span>' in page.read_text()
     code, out, _ = pmbm(capsys, "gate", "night.toml", "--against", "c3")
     assert (code, out) == (0, "pass: both trackers are the same code\n")
 
