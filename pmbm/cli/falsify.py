@@ -130,7 +130,7 @@ def badness_of(tracker: str, metric: str, sign: float, trials: int, seed: int) -
     """The metric, larger is worse, of a scenario's document."""
     import numpy as np
 
-    from pmbm.errors import InputError
+    from pmbm.errors import InputError, notes_of
     from pmbm.metrics import evaluate
     from pmbm.seeding import tracker_seed
     from pmbm.sim.scenario.scenario import Scenario
@@ -147,7 +147,8 @@ def badness_of(tracker: str, metric: str, sign: float, trials: int, seed: int) -
                 tracks = track(factory, recording, tracker_seed(seed, trial))
             except InputError as error:
                 # The search takes an InputError for a world that there cannot be.
-                raise click.ClickException(str(error.located(run=f"trial {trial}"))) from error
+                said = [str(error.located(run=f"trial {trial}")), *notes_of(error)]
+                raise click.ClickException("; ".join(said)) from error
             value = evaluate(recording, tracks, [metric]).scalars()[metric]
             if value is not None:
                 values.append(sign * value)

@@ -290,6 +290,29 @@ def test_a_command_says_it_in_few_lines(capsys, tmp_path):
     assert "about to exit" in said
 
 
+PASSING = HERE.parent / "examples" / "my_program" / "passing.toml"
+
+
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        (("gate", "single_straight", "--against", "argoverse", "--margin", "1"), 1),
+        (("falsify", PASSING, "--budget", "2"), 2),
+    ],
+)
+def test_a_gate_and_a_search_take_no_failure_for_a_result(command, code, capsys, tmp_path):
+    if command[0] == "falsify":
+        command = (*command, "--out", tmp_path / "worst.toml")
+    with pytest.raises(SystemExit) as caught:
+        main([*map(str, command), "--tracker", odd("exit")])
+    assert caught.value.code == code
+    said = "".join(capsys.readouterr())
+    assert "trial 0" in said
+    assert "step 2: ended with exit code 3" in said
+    assert "about to exit" in said
+    assert not (tmp_path / "worst.toml").exists()
+
+
 DRIVER = """
 import sys
 sys.path.insert(0, {here!r})
