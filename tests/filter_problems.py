@@ -40,6 +40,7 @@ def scan_of(position):
         evidence=np.ones((n, 1)),
         birth=np.ones(1),
         first=np.ones((n, 2)),
+        said=np.zeros((n, 0)),
         confidence=np.zeros(n),
     )
 
@@ -58,4 +59,5 @@ def bernoullis(track, existence, mean, cov, *, box=None, history=None):
         shown=np.zeros(n, bool),
         history=np.zeros((n, 0), np.int32) if history is None else history,
         marks=Marks.neutral(n),
+        record=np.zeros((n, 0)),
     )

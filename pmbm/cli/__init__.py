@@ -30,7 +30,7 @@ COMMANDS = {
     "submit": "Results of many sequences as the one file that a benchmark takes.",
     "compare": "Several trackers over a dataset: who is better, by how much, and how surely.",
     "fit-detector": "A detector profile from labels and detections, and how well it fits.",
-    "fit-marks": "What scores and runs of misses tell the PMBM tracker, from labels.",
+    "fit-tracker": "A preset for a detector of one's own, and what it is worth elsewhere.",
     "falsify": "Search a scenario for what breaks a tracker; keep the smallest that does.",
     "tune": "A tracker's parameters by Optuna, on scenarios or on a dataset's sequences.",
     "cache": "The simulated scenes kept on disk: show, list, clear.",
@@ -166,3 +166,8 @@ def _warnings_in_a_line() -> Iterator[None]:
 
 def _complain(text: str) -> None:
     click.echo(f"pmbm: {text}", err=True)
+
+
+def warn(text: str) -> None:
+    """Say on stderr, in a line, what is odd about what was asked for."""
+    _complain(f"warning: {text}")

@@ -78,21 +78,38 @@ def command(
       pmbm track kitti --root kitti --detections 'kitti/detections/pointrcnn_{class}' \\
         --poses kitti/pose --classes Car Pedestrian Cyclist --sequences 0001 0002 --out results
     """
+    from pmbm.cli import warn
+    from pmbm.cli.detector import heed_detector
     from pmbm.datasets import open_dataset
     from pmbm.datasets.files import prepare_folder
 
     dataset = open_dataset(
         dataset_name, root=root, detections=detections, poses=poses, classes=classes or None
     )
-    trackers = class_trackers(dataset, tracker_name, config or preset(dataset_name, tracker_name))
+    config = config or preset(dataset_name, tracker_name)
+    trackers = class_trackers(dataset, tracker_name, config)
     names = list(dict.fromkeys(sequences)) or dataset.sequences()
+    if getattr(dataset, "poses", ...) is None:
+        warn("no --poses: objects are followed in the frame of the moving sensor")
+    heed_detector(dataset, names, config, trackers)
     prepare_folder(out)
     logs = _logs(log, names)
     tasks = [
         (dataset, name, trackers, out, mode, file) for name, file in zip(names, logs, strict=True)
     ]
-    for path in spread(track_sequence, tasks, jobs, "sequences"):
+    boxes = reports = 0
+    for path, given, reported in spread(track_sequence, tasks, jobs, "sequences"):
+        boxes, reports = boxes + given, reports + reported
         click.echo(path)
+    if boxes >= _MANY and not reports:
+        warn(
+            f"no track was reported among {boxes} detections; pmbm fit-tracker fits the tracker to "
+            "a detector"
+        )
+
+
+_MANY = 1000
+"""Detections among which it is strange that no track is reported."""
 
 
 def track_sequence(
@@ -102,8 +119,9 @@ def track_sequence(
     out: Path,
     mode: str = "online",
     log: Path | None = None,
-) -> Path:
-    """Track one sequence, write it, and a log of it where one is named, and say where."""
+) -> tuple[Path, int, int]:
+    """Track one sequence, write it, and a log of it where one is named: where it is, how many
+    detections there were, and reports."""
     recording = dataset.recording(name, truth=False)
     tracks = tracked(name, recording, trackers, mode)
     if log is not None:
@@ -112,7 +130,11 @@ def track_sequence(
 
         tracker = next(iter(trackers.values())).factory
         write_log(ReplayPage(recording=recording, tracks={tracker: tracks}, title=name), log)
-    return dataset.write(name, tracks, out)
+    return (
+        dataset.write(name, tracks, out),
+        sum(len(one) for one in recording.detections),
+        sum(len(one) for one in tracks),
+    )
 
 
 def _logs(log: str | None, sequences: Sequence[str]) -> list[Path | None]:
@@ -218,6 +240,7 @@ def class_trackers(
     from pmbm.types import Label
 
     values = {} if config is None else read_toml(config)
+    values.pop("detector", None)
     own = {name: values.pop(name, {}) for name in dataset.known_classes}
     trackers = {}
     for name, label in zip(dataset.classes, dataset.labels, strict=True):

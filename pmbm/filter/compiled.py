@@ -160,6 +160,7 @@ def advance(
             shown,
             history,
             _marks_after(marks, frame, source, *origin),
+            _record_after(local.record, frame, *origin[:4]),
         ),
         Globals(*table),
         track_id,
@@ -222,6 +223,15 @@ def _marks_after(
         np.concatenate([part.confidence for part in parts]),
         np.concatenate([part.detectable for part in parts]),
     )
+
+
+def _record_after(
+    before: FloatArray, frame: Frame, missed: int, detected: int, row: Index, measurement: Index
+) -> FloatArray:
+    """Running sums (n,R) of what detections said, in the order of `_marks_after`."""
+    transition, said = frame.transition, frame.scan.said.take(measurement, axis=0)
+    known = (before * transition.scores.fade(transition.dt)).take(row, axis=0)
+    return np.concatenate([known[:missed], known[missed:] + said[:detected], said[detected:]])
 
 
 @lru_cache(maxsize=8)

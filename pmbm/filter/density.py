@@ -214,6 +214,8 @@ class Locals:
     history (H,L) : int32, measurement taken at each of the last L steps, MISSED or BEFORE; L is
         the configuration's `history`, of which `IdInheritance` reads the last.
     marks : what the models of scores and of detection remember of each.
+    record (H,R) : running sums of what its detections said; R = 0 where the scores' model keeps
+        none.
     """
 
     track: Index
@@ -226,6 +228,7 @@ class Locals:
     shown: BoolArray
     history: NDArray[np.int32]
     marks: Marks
+    record: FloatArray
 
     def __len__(self) -> int:
         return len(self.track)
@@ -242,6 +245,7 @@ class Locals:
             self.shown.take(rows, axis=0),
             self.history.take(rows, axis=0),
             self.marks.take(rows),
+            self.record.take(rows, axis=0),
         )
 
     @staticmethod
@@ -257,11 +261,13 @@ class Locals:
             np.concatenate([part.shown for part in parts]),
             np.concatenate([part.history for part in parts]),
             Marks.joined(*[part.marks for part in parts]),
+            np.concatenate([part.record for part in parts]),
         )
 
     @staticmethod
-    def empty(history: int = 0, classes: int = 1) -> Locals:
-        """No rows; `history` steps of associations are kept, and classes of sources told apart."""
+    def empty(history: int = 0, classes: int = 1, sums: int = 0) -> Locals:
+        """No rows; `history` steps of associations are kept, classes of sources told apart, and
+        so many sums of what detections said."""
         return Locals(
             np.zeros(0, np.intp),
             np.zeros(0),
@@ -273,6 +279,7 @@ class Locals:
             np.zeros(0, bool),
             np.zeros((0, history), np.int32),
             Marks.neutral(0, classes),
+            np.zeros((0, sums)),
         )
 
 

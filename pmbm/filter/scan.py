@@ -23,6 +23,7 @@ class Scan:
         anywhere or by what may be where each measurement is.
     first (M,2) : factors on the density of first detections and on that of clutter, for the rule
         that lets a score speak there alone.
+    said (M,R) : what each detection adds to its source's record.
     confidence (M,) : in [0, 1], what a track may remember of its detections.
     radar : what is particular to a radar's measurements, or None.
     """
@@ -33,6 +34,7 @@ class Scan:
     evidence: FloatArray
     birth: FloatArray
     first: FloatArray
+    said: FloatArray
     confidence: FloatArray
     radar: RadarScan | None = None
 
@@ -84,6 +86,7 @@ class Scan:
             scored.evidence,
             scored.birth,
             scored.first,
+            scored.said,
             confidence,
             radar,
         )

@@ -16,7 +16,7 @@ from pmbm.filter import compiled
 from pmbm.filter.association import associate
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
-from pmbm.filter.estimation import in_view, suppress_overlaps
+from pmbm.filter.estimation import Marginals, in_view, marginals, suppress_overlaps
 from pmbm.filter.explain.inspection import Inspection, inspect
 from pmbm.filter.frame import Frame, form_frame, split_by_view, undetected_in
 from pmbm.filter.identity.inheritance import IdInheritance
@@ -59,7 +59,9 @@ class State:
         density = Density.initial(
             Mixture.empty(),
             clustering=model.reduction.clustering,
-            local=Locals.empty(model.report.history, model.scores.classes),
+            local=Locals.empty(
+                model.report.history, model.scores.classes, len(model.scores.fade(0.0))
+            ),
         )
         return State(math.nan, density, None, SceneDensity(), IdInheritance())
 
@@ -165,7 +167,7 @@ def report(model: PMBMConfig, state: State, frame: Frame, density: Density) -> t
     marginal, inside = in_view(density, frame.region)
     before = state.before if frame.time == state.time else (state.scene, frame.dt)
     scene = model.scores.observed(before[0], marginal, inside, before[1])
-    exists = marginal.objects(model.scores.object_share(scene))
+    exists = objects(model, scene, marginal, density, frame.region)
     reported = np.flatnonzero((exists > model.report.above) & (inside > 0.5))
     if model.report.exclusive and len(reported) > 1:
         # What is known for longer has the priority, if it is there more probably than not.
@@ -191,6 +193,15 @@ def report(model: PMBMConfig, state: State, frame: Frame, density: Density) -> t
         undetected=density.undetected.public(),
     )
     return State(frame.time, density, frame.births_memory, scene, ids, before), tracks
+
+
+def objects(
+    model: PMBMConfig, scene: SceneDensity, marginal: Marginals, density: Density, region: View
+) -> FloatArray:
+    """(T,) the probability of each track to exist and be an object."""
+    local, best = density.local, marginal.best
+    share = model.scores.recorded_share(local.record[best], region.distance(local.mean[best]))
+    return marginal.objects(model.scores.object_share(scene)) * share
 
 
 class PMBMTracker:
@@ -262,14 +273,16 @@ class PMBMTracker:
             raise InputError("nothing to inspect before the first step")
         trace, state, config = self.trace, self.state, self.config
         predicted, _ = predicted_in(config, trace.before, trace.frame)
+        marginal, region = marginals(state.density), trace.frame.region
         return inspect(
             state.density,
+            marginal,
+            objects(config, state.scene, marginal, state.density, region),
             predicted,
             observe(config, self.site, trace.frame, predicted),
             self.site.occluders,
             time=state.time,
             report_above=config.report.above,
-            object_share=config.scores.object_share(state.scene),
             reduced=trace.removed,
             seconds=trace.seconds,
         )

@@ -104,6 +104,7 @@ def _missed(
         local.shown,
         history,
         marks,
+        local.record,
     ).take(rows)
 
 
@@ -131,6 +132,7 @@ def _detected(
         local.shown[row],
         _remember(local.history[row], measurement),
         sensor.detection.if_detected(told, scan.confidence[measurement]),
+        local.record[row] + scan.said[measurement],
     )
 
 
@@ -159,6 +161,7 @@ def _first_detected(
         np.zeros(len(measurements), bool),
         _remember(np.full((len(measurements), L), BEFORE, np.int32), measurements),
         sensor.detection.first(scan.source_if_first(measurements), scan.confidence[measurements]),
+        scan.said[measurements],
     )
 
 

@@ -1,4 +1,4 @@
-"""What scores and misses say, fitted to sources and runs whose parameters are known."""
+"""Levels of scores, in the filter and beside other labels."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from mark_builders import PLAIN, frame, levels, street
 
-from pmbm.errors import InputError
-from pmbm.filter import DetectionChain, PMBMConfig, PMBMTracker, Report
+from pmbm.filter import PMBMConfig, PMBMTracker, Report
 from pmbm.filter.models.protocols import SceneDensity
-from pmbm.fitting.detection_chain import fit_detection_chain, runs
-from pmbm.fitting.score_levels import fit_levels, fit_log_odds, fit_marks, sources
 from pmbm.score import Calibration
-from pmbm.types import CLUTTER, Detections, Label, Recording
+from pmbm.types import Detections, Label
 
 ALL = Report(above=0.0, exclusive=False)
 STREET = {"sensor.clutter_rate": 1.0, "sensor.position_sd": 0.1}
@@ -172,22 +169,6 @@ def test_an_uncertain_source_is_rather_an_object_where_there_are_many():
     assert score["crowd"] > 0.8 > 0.55 > score["alone"]
 
 
-def test_levels_are_fitted_beside_the_number_of_objects_around():
-    """Crowded scenes have more objects of each level; the curve is that of a usual scene."""
-    rng = np.random.default_rng(7)
-    said, true, around = [], [], []
-    for _ in range(1500):
-        crowd = rng.choice([0.2, 5.0])
-        level = rng.choice([-3.0, 0.0, 3.0])
-        odds = crowd * np.exp(1.5 * level)
-        true.append(rng.random() < odds / (1 + odds))
-        said.append(rng.normal(level, 0.8, rng.integers(2, 40)))
-        around.append(crowd)
-    found = fit_levels(said, np.array(true), Label.CAR, PLAIN, np.array(around))
-    at = np.interp([-1.0, 0.0, 1.0], found.level, found.object)
-    assert at == pytest.approx(1 / (1 + np.exp(-1.5 * np.array([-1.0, 0.0, 1.0]))), abs=0.06)
-
-
 def test_rivals_share_the_odds_of_a_place():
     one, other = frame(0, [[10, 0]], 1.0, Label.PEDESTRIAN), frame(0, [[10.5, 0]], 2.0)
     far = frame(0, [[12, 0]], 3.0)
@@ -231,147 +212,3 @@ def test_a_tracker_of_one_label_is_told_of_rivals():
         score.append(tracks.score.max(initial=0.0))
     assert score[0] > 0.8
     assert score[1] < 0.2
-
-
-def test_log_odds_are_found_again():
-    rng = np.random.default_rng(1)
-    score, away = rng.normal(1, 2, 20000), rng.uniform(10, 60, 20000)
-    true = rng.random(20000) < 1 / (1 + np.exp(-(-3 + 1.2 * score + 0.05 * away)))
-    found = fit_log_odds(score, away, true, np.ones(20000))
-    assert found == pytest.approx((-3, 1.2, 0.05), rel=0.08)
-
-
-def test_levels_are_found_again():
-    rng = np.random.default_rng(2)
-    said, true = [], []
-    for _ in range(1200):
-        level = rng.choice([-3.0, 0.0, 3.0], p=[0.6, 0.2, 0.2])
-        true.append(rng.random() < 1 / (1 + np.exp(-1.5 * level)))
-        said.append(rng.normal(level, 0.8, rng.integers(2, 40)))
-    said += [rng.normal(-3, 0.8, 1) for _ in range(500)]
-    true += [False] * 500
-    found = fit_levels(said, np.array(true), Label.CAR, PLAIN)
-    assert found.scatter == pytest.approx(0.8, rel=0.05)
-    for level, share in ((-3.0, 0.6), (0.0, 0.2), (3.0, 0.2)):
-        near = np.abs(found.level - level) < 1.2
-        assert found.birth[near].sum() == pytest.approx(share, abs=0.05)
-        assert np.interp(level, found.level, found.object) == pytest.approx(
-            1 / (1 + np.exp(-1.5 * level)), abs=0.06
-        )
-    assert found.clutter @ found.level == pytest.approx(-3, abs=0.3)
-
-
-def test_where_sources_of_each_level_come_into_view_is_found_again():
-    """Far off, mostly objects; near by, mostly poles; and of few objects nobody can tell."""
-    rng = np.random.default_rng(4)
-    said, true, first = [], [], []
-    for _ in range(1500):
-        away = rng.uniform(5, 75)
-        true.append(rng.random() < (0.1 if away < 40 else 0.8))
-        said.append(rng.normal(3.0 if true[-1] else -3.0, 0.8, rng.integers(2, 30)))
-        first.append(away)
-    said += [rng.normal(-3, 0.8, 1) for _ in range(500)]
-    true, first = np.array(true + [False] * 500), np.array(first + [20.0] * 500)
-    found = fit_levels(said, true, Label.CAR, PLAIN, first=first)
-    for away, share in ((10.0, 0.1), (20.0, 0.1), (60.0, 0.8), (70.0, 0.8)):
-        births = found.birth_after(SceneDensity(), np.array([away]))[0]
-        assert births.sum() == pytest.approx(1)
-        assert births[found.level > 0].sum() == pytest.approx(share, abs=0.08)
-    few = np.r_[np.flatnonzero(true)[:99], np.flatnonzero(~true)]
-    told = fit_levels([said[k] for k in few], true[few], Label.CAR, PLAIN, first=first[few])
-    assert told.birth_at is None
-    assert told.birth.shape == told.level.shape
-
-
-def test_long_lives_tell_near_levels_apart():
-    rng = np.random.default_rng(3)
-    level = np.repeat([-1.0, 1.0], 200)
-    either = rng.random(400) < 0.5
-    found = fit_levels([rng.normal(m, 1.5, 30) for m in level], either, Label.CAR, PLAIN)
-    between = np.abs(found.level) < 0.45
-    assert between.any()
-    assert found.birth[between].sum() < 0.15
-
-
-def test_marks_fitted_to_a_street_tell_its_cars_from_its_poles():
-    made = [street(seed) for seed in range(3)]
-    config = PMBMConfig.textbook().changed(STREET)
-    marks = fit_marks(made, [[Label.CAR]], {Label.CAR: config})[Label.CAR]
-    assert marks.mean_objects == pytest.approx(4 * 0.9, rel=0.05)
-    tracker = PMBMTracker(replace(config, scores=marks))
-    new = street(9)
-    counts = [len(tracker.step(one)) for one in new.detections]
-    assert np.mean(counts[20:]) == pytest.approx(4, abs=0.3)
-
-
-def test_sources_are_the_trackers_and_open_questions_are_left_out():
-    made = street(4)
-    config = PMBMConfig.textbook().changed(STREET)
-    found = sources(made, Label.CAR, config)
-    everything = np.concatenate([one.raw_score for one in made.detections])
-    assert found.score == pytest.approx(everything[found.row])
-    count = np.bincount(found.source)
-    objects = np.unique(found.source[found.object])
-    assert np.sum(count[objects] > 30) == 4
-    unsure = [np.asarray(origin) == CLUTTER for origin in made.origin]
-    assert sources(made, Label.CAR, config, unsure).object.all()
-
-
-def test_runs_of_misses_are_found_again():
-    rng = np.random.default_rng(5)
-    flags = []
-    for _ in range(250):
-        seen, one = True, []
-        for _ in range(90):
-            seen = rng.random() < (0.97 if seen else 0.15)
-            one.append(int(rng.random() < (0.98 if seen else 0.2)))
-        hits = np.flatnonzero(one)
-        flags.append(np.array(one[hits[0] : hits[-1] + 1], np.int8))
-    chain = fit_detection_chain(flags)
-    assert chain.base.probability == pytest.approx(0.98, abs=0.01)
-    assert chain.undetectable == pytest.approx(0.2 / 0.98, abs=0.04)
-    assert chain.stay_detectable == pytest.approx(0.97, abs=0.01)
-    assert chain.stay_undetectable == pytest.approx(0.85, abs=0.03)
-
-
-def test_runs_go_from_the_first_detection_to_the_last():
-    made = street(6, frames=30)
-    found = runs([made], Label.CAR)
-    assert len(found) == 4
-    assert all(one[0] == one[-1] == 1 for one in found)
-    hits = sum(int((one == 1).sum()) for one in found)
-    assert hits == sum(int((np.asarray(origin) != CLUTTER).sum()) for origin in made.origin)
-
-
-def test_what_cannot_be_fitted_is_refused_by_name():
-    with pytest.raises(InputError, match="origin"):
-        sources(
-            Recording(**{**vars_of(street(7, frames=3)), "origin": None}),
-            Label.CAR,
-            PMBMConfig.textbook(),
-        )
-    with pytest.raises(InputError, match="is_object"):
-        fit_levels([np.ones(3)], np.array([True]), Label.CAR, PLAIN)
-    with pytest.raises(InputError, match="flags"):
-        fit_detection_chain([np.ones(5, np.int8)])
-    for bad in (
-        {"scatter": 0.0},
-        {"level": [1.0, 0.0, 2.0]},
-        {"birth": [0.5, 0.1, 0.1]},
-        {"label": 9},
-        {"mean_objects": 0.0},
-        {"prior_seconds": 0.0},
-    ):
-        with pytest.raises(InputError, match=next(iter(bad))):
-            levels(**bad)
-    assert isinstance(PMBMConfig(scores=levels()).sensor.detection, DetectionChain)
-
-
-def vars_of(recording):
-    return {
-        name: getattr(recording, name)
-        for name in (
-            *("name", "site", "truth", "detections", "frame", "stamp"),
-            *("origin", "object_name", "provenance"),
-        )
-    }

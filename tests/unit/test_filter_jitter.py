@@ -212,6 +212,7 @@ def test_two_boxes_of_one_front_hide_each_other_neither_way():
             shown=np.zeros(2, bool),
             history=np.zeros((2, 0), np.int32),
             marks=Marks.neutral(2),
+            record=np.zeros((2, 0)),
         )
         density = replace(Density.initial(Mixture.empty(), local=local), track_id=np.arange(2))
         shares = Shadows.of(together(density), np.zeros(3)).visible_share(local)

@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import NDArray
 
 from pmbm.filter.density import BEFORE, MISSED, Density, Index, Locals, summed
-from pmbm.filter.estimation import marginals
+from pmbm.filter.estimation import Marginals, marginals
 from pmbm.filter.models.sensor import ObservationModel
 from pmbm.filter.reduction import ReductionStats
 from pmbm.geometry import corners
@@ -130,21 +130,22 @@ def _told(history: NDArray[np.int32]) -> str:
 
 def inspect(
     density: Density,
+    marginal: Marginals,
+    objects: FloatArray,
     predicted: Density,
     sensor: ObservationModel,
     occluders: Sequence[FloatArray],
     *,
     time: float,
     report_above: float,
-    object_share: FloatArray,
     reduced: ReductionStats,
     seconds: Mapping[str, float],
 ) -> Inspection:
-    """The tables of a density, track by track, and of what was predicted before it."""
+    """The tables of a density, track by track, and of what was predicted before it; objects (T,) :
+    the probability of each track to exist and be an object."""
     local, table = density.local, density.hypotheses
     cluster = np.zeros(len(density.track_id), np.intp)
     cluster[local.track[table.member]] = np.repeat(table.cluster, np.diff(table.start))
-    marginal = marginals(density)
     best, undetected = local.take(marginal.best), density.undetected
     unseen = sensor.share_in_view(undetected.mean, undetected.cov)
     return Inspection(
@@ -152,7 +153,7 @@ def inspect(
         expected_undetected=float(undetected.never_detected() @ unseen),
         track_id=density.track_id,
         existence=marginal.existence,
-        object=marginal.objects(object_share),
+        object=objects,
         in_view=sensor.share_in_view(best.mean, best.cov),
         report_above=report_above,
         cluster=cluster,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pmbm.errors import InputError
 from pmbm.filter.models.protocols import SceneDensity
-from pmbm.filter.models.scores import ScoredDetections
+from pmbm.filter.models.scores import NoRecord, ScoredDetections
 from pmbm.score import ScoreModel
 from pmbm.types import Detections, FloatArray, Label
 from pmbm.validation import Checker, equal_fields, hash_of_fields
@@ -31,7 +31,7 @@ _CLASSES = 2 * _LABELS
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ObjectClasses:
+class ObjectClasses(NoRecord):
     """Classes of sources, and what the detections of each look like.
 
     birth (14,) : share of new sources of detections that are of each class: the labels, then the
@@ -112,8 +112,10 @@ class ObjectClasses:
         return False
 
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
-        neutral = np.ones((len(detections), 2))
-        return ScoredDetections(detections, self.evidence(detections), self.birth, neutral)
+        n = len(detections)
+        return ScoredDetections(
+            detections, self.evidence(detections), self.birth, np.ones((n, 2)), np.zeros((n, 0))
+        )
 
     def predicted(self, source: FloatArray, dt: float) -> FloatArray:
         return source

@@ -146,8 +146,15 @@ class Scores(Protocol):
     def predicted(self, source: FloatArray, dt: float) -> FloatArray:
         """P(class) (H,K) `dt` seconds later."""
 
+    def fade(self, dt: float) -> FloatArray:
+        """(R,) what is left of each running sum of a source's record `dt` seconds later."""
+
     def object_share(self, scene: SceneDensity) -> FloatArray:
         """P(object | class) (K,) in this scene."""
+
+    def recorded_share(self, record: FloatArray, distance: FloatArray) -> FloatArray:
+        """P(object | record) (T,) of sources with these records (T,R), seen from these distances
+        (T,), m; 1 where records say nothing."""
 
     def observed(
         self, scene: SceneDensity, marginal: Marginals, in_view: FloatArray, dt: float
@@ -197,5 +204,6 @@ SCORES = Members(
         "lasting": "score_levels:LastingScores",
         "levels": "score_levels:ScoreLevels",
         "classes": "object_classes:ObjectClasses",
+        "record": "score_record:ScoreRecord",
     }
 )

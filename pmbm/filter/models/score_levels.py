@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pmbm.errors import InputError
 from pmbm.filter.models.protocols import SceneDensity
-from pmbm.filter.models.scores import ScoredDetections
+from pmbm.filter.models.scores import NoRecord, ScoredDetections
 from pmbm.score import Calibration, ScoreModel
 from pmbm.types import Detections, FloatArray, Label
 from pmbm.validation import Checker, equal_fields, hash_of_fields
@@ -28,7 +28,7 @@ the first object must be believed at once."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ScoreLevels:
+class ScoreLevels(NoRecord):
     """How sure the detector is of a source of detections: a latent quality that lasts.
 
     The scores of one object scatter about a level of its own, and so do those of a pole: frame
@@ -130,6 +130,7 @@ class ScoreLevels:
             self.evidence(log_odds),
             self.birth_after(scene, own.distance),
             np.ones((len(own), 2)),
+            np.zeros((len(own), 0)),
         )
 
     def labels(self, local: Locals) -> NDArray[np.int8]:

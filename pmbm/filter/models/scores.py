@@ -30,15 +30,27 @@ class ScoredDetections:
     birth (K,) or (M,K) : shares of the classes among sources detected for the first time, the same
         anywhere or by what may be where each measurement is.
     first (M,2) : factors on the density of first detections and on that of clutter.
+    said (M,R) : what each detection adds to the running sums of its source's record.
     """
 
     detections: Detections
     evidence: FloatArray
     birth: FloatArray
     first: FloatArray
+    said: FloatArray
 
 
-class OneClass:
+class NoRecord:
+    """Sources of which no record is kept, R = 0."""
+
+    def fade(self, dt: float) -> FloatArray:
+        return np.zeros(0)
+
+    def recorded_share(self, record: FloatArray, distance: FloatArray) -> FloatArray:
+        return np.ones(len(record))
+
+
+class OneClass(NoRecord):
     """Sources that scores do not tell apart: all are objects, K = 1."""
 
     @property
@@ -70,7 +82,9 @@ class IgnoreScores(OneClass):
 
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
         n = len(detections)
-        return ScoredDetections(detections, np.ones((n, 1)), _ONE, np.ones((n, 2)))
+        return ScoredDetections(
+            detections, np.ones((n, 1)), _ONE, np.ones((n, 2)), np.zeros((n, 0))
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +103,9 @@ class FirstScore(OneClass):
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
         s = confidence_in(detections, self.score_model)
         first = np.column_stack([2 * s, 2 * (1 - s)])
-        return ScoredDetections(detections, np.ones((len(detections), 1)), _ONE, first)
+        return ScoredDetections(
+            detections, np.ones((len(s), 1)), _ONE, first, np.zeros((len(s), 0))
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,4 +123,6 @@ class EveryScore(OneClass):
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
         s = confidence_in(detections, self.score_model)
         ratio = (s / (1 - s))[:, None]
-        return ScoredDetections(detections, ratio, _ONE, np.ones((len(detections), 2)))
+        return ScoredDetections(
+            detections, ratio, _ONE, np.ones((len(s), 2)), np.zeros((len(s), 0))
+        )

@@ -32,6 +32,10 @@ class View:
         """m^2."""
         return self.half_angle * self.max_range**2
 
+    def distance(self, mean: FloatArray) -> FloatArray:
+        """(N,) m from the sensor, of states (N,4)."""
+        return np.hypot(mean[:, 0] - self.pose[0], mean[:, 1] - self.pose[1])
+
     def share_inside(self, mean: FloatArray, cov: FloatArray) -> FloatArray:
         """(N,) probability that an object lies inside, for Gaussians (N,4), (N,4,4).
 

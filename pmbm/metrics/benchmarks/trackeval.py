@@ -348,6 +348,11 @@ class SimilarityScore:
     farthest: float = np.inf
 
     def __call__(self, sequence: ComparedSequence, kind: str) -> Evaluation:
+        counted = self.counted(sequence)
+        return evaluate_trackeval([counted], threshold=self.least, similarity=self.says)
+
+    def counted(self, sequence: ComparedSequence) -> SimilarScene:
+        """What counts of a sequence."""
         scene = make_scene(sequence.truth, sequence.tracks)
         truth, tracks = (
             np.hypot(side.position[:, 0], side.position[:, 1]) <= self.farthest
@@ -355,8 +360,7 @@ class SimilarityScore:
         )
         scene = scene.with_rows(truth, tracks)
         similar = SimilarScene(scene=scene, similarity=self.measure(scene, sequence))
-        counted = similar.counted(self.least, sequence.excused[tracks])
-        return evaluate_trackeval([counted], threshold=self.least, similarity=self.says)
+        return similar.counted(self.least, sequence.excused[tracks])
 
 
 def similarity_rule(

@@ -1,0 +1,353 @@
+"""`pmbm fit-tracker`: a preset for a detector of one's own, and what it is worth elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmbm.cli import dataset_options
+from pmbm.cli.dataset_options import FILE, FOLDER
+from pmbm.cli.many import ManyValues
+
+if TYPE_CHECKING:
+    from pmbm.arrays import BoolArray
+    from pmbm.cli.detector import Detector
+    from pmbm.datasets import Dataset
+    from pmbm.filter.models.score_record import ScoreRecord
+    from pmbm.fitting.score_record import Rows, Scale
+    from pmbm.metrics.benchmarks.operating_point import OperatingPoint, Sweep
+    from pmbm.types import Label, Recording
+
+Tables = dict[str, dict[str, Any]]
+"""Class -> its parameters, as a file has them."""
+
+
+@click.command(cls=ManyValues)
+@dataset_options.dataset
+@dataset_options.root("The dataset's folder, with its labels.", kind=FOLDER)
+@dataset_options.detections(
+    "Detections with raw scores; {class} stands for the class's name where each class has its own."
+)
+@dataset_options.poses
+@dataset_options.classes
+@dataset_options.sequences
+@click.option(
+    "--config",
+    type=FILE,
+    metavar="FILE.toml",
+    help="The PMBM tracker's other parameters.  [default: what ships for this dataset]",
+)
+@click.option(
+    "--unlabelled",
+    is_flag=True,
+    help="Read no labels: the weights stay those of --config, on the scale of these scores.",
+)
+@click.option(
+    "--folds",
+    type=click.IntRange(min=0),
+    default=8,
+    show_default=True,
+    help="Into how many parts the sequences are divided, each tracked by a fit to the others; 0, "
+    "what the fit is worth is not told.",
+)
+@click.option("--mode", type=click.Choice(["online", "batch"]), default="online", show_default=True)
+@click.option("--out", type=FILE, required=True, metavar="FILE.toml", help="The preset.")
+@click.option("--markdown", type=FILE, metavar="FILE.md", help="What was printed, as a page.")
+def command(
+    dataset_name: str,
+    root: Path,
+    detections: str,
+    poses: Path | None,
+    classes: tuple[str, ...],
+    sequences: tuple[str, ...],
+    config: Path | None,
+    unlabelled: bool,
+    folds: int,
+    mode: str,
+    out: Path,
+    markdown: Path | None,
+) -> None:
+    """Fit the PMBM tracker to a detector on DATASET, from its detections and labels: which sources
+    of detections are objects.  Writes a preset for `pmbm track --config`, and tells what it is
+    worth on sequences that it was not fitted to: each is tracked by a fit to others.
+
+    \b
+    Example:
+      pmbm fit-tracker kitti --root kitti --detections 'mine/{class}' --poses kitti/pose \\
+        --out mine.toml
+    """
+    from pmbm.cli.track import class_trackers, preset
+    from pmbm.datasets import open_dataset
+    from pmbm.durable import replace_text
+    from pmbm.sim.toml_tables import toml_text
+    from pmbm.study.configured import nested
+    from pmbm.types import Label
+
+    dataset = open_dataset(
+        dataset_name, root=root, detections=detections, poses=poses, classes=classes or None
+    )
+    names = list(dict.fromkeys(sequences)) or dataset.sequences()
+    trackers = class_trackers(dataset, "pmbm", config or preset(dataset_name, "pmbm"))
+    given = {
+        kind: nested(dict(trackers[Label(label)].parameters))
+        for kind, label in zip(dataset.classes, dataset.labels, strict=True)
+    }
+    study = _Study.of(dataset, names, given, labelled=not unlabelled)
+    tables = study.unlabelled() if unlabelled else study.fitted(names)
+    how = "scores' scale by" if unlabelled else "scores by"
+    note = (
+        f"# The PMBM tracker's parameters for one detector, a table for each class; {how}\n"
+        f"#   pmbm fit-tracker {dataset_name}{' --unlabelled' if unlabelled else ''} --sequences "
+        f"{' '.join(names)}\n"
+    )
+    told = {kind: one.table() for kind, one in study.detector.items()}
+    replace_text(out, note + toml_text({**factored(tables), "detector": told}))
+    if folds and not unlabelled:
+        points = study.left_out(folds, mode)
+        text = report(points, f"{dataset_name}, {mode}, {len(names)} sequences in {folds} folds")
+        click.echo(text, nl=False)
+        if markdown is not None:
+            replace_text(markdown, text)
+    click.echo(out)
+
+
+@dataclass(frozen=True)
+class _Study:
+    """Sequences to fit to, with what is worked out once.
+
+    found : of each class and sequence, the rows that the tracker may report.
+    """
+
+    dataset: Dataset
+    recordings: Mapping[str, Recording]
+    given: Tables
+    scale: Scale
+    detector: Mapping[str, Detector]
+    found: Mapping[tuple[str, str], Rows]
+
+    @staticmethod
+    def of(dataset: Dataset, names: Sequence[str], given: Tables, *, labelled: bool) -> _Study:
+        from pmbm.cli.detector import Detector
+        from pmbm.fitting.score_record import rows, score_scale
+        from pmbm.types import Label
+
+        recordings = {name: dataset.recording(name, truth=labelled) for name in names}
+        labels = [Label(label) for label in dataset.labels]
+        scale = score_scale(list(recordings.values()), labels)
+        judge = getattr(dataset, "unjudged", None)
+        found: dict[tuple[str, str], Rows] = {}
+        for kind, label in zip(dataset.classes, labels, strict=True) if labelled else ():
+            config = _config({**given[kind], "scores": _neutral(label, scale)})
+            for name, recording in recordings.items():
+                unjudged: Sequence[BoolArray] | None = None if judge is None else judge(name)
+                found[kind, name] = rows(recording, label, config, unjudged)
+        detector = {
+            kind: Detector.of(list(recordings.values()), label)
+            for kind, label in zip(dataset.classes, labels, strict=True)
+        }
+        return _Study(dataset, recordings, given, scale, detector, found)
+
+    def fitted(self, names: Sequence[str]) -> Tables:
+        """Each class's parameters, fitted to these sequences."""
+        from pmbm.fitting.score_record import Rows, fit_records
+        from pmbm.types import Label
+
+        kinds = dict(zip(map(Label, self.dataset.labels), self.dataset.classes, strict=True))
+        whole = {
+            label: Rows.joined([self.found[kind, name] for name in names])
+            for label, kind in kinds.items()
+        }
+        records = fit_records(whole, self.scale)
+        return {
+            kind: {**self.given[kind], "scores": as_table(records[label])}
+            for label, kind in kinds.items()
+        }
+
+    def unlabelled(self) -> Tables:
+        """Each class's parameters as given, on the scale of these detections' scores."""
+        from pmbm.errors import InputError
+
+        tables: Tables = {}
+        for kind, own in self.given.items():
+            scores = own.get("scores", {})
+            if scores.get("kind") != "record":
+                raise InputError(
+                    "only a score record can be put on another scale",
+                    field=f"{kind}.scores.kind",
+                    expected="record",
+                    got=scores.get("kind"),
+                )
+            tables[kind] = {**own, "scores": {**scores, **_scale_table(self.scale)}}
+        return tables
+
+    def left_out(self, folds: int, mode: str) -> dict[str, OperatingPoint | None]:
+        """What each class's tracker is worth on sequences that it was not fitted to."""
+        from pmbm.metrics.benchmarks.operating_point import operating_point
+
+        names = list(self.recordings)
+        sweeps: dict[str, list[Sweep]] = {kind: [] for kind in self.dataset.classes}
+        for fold in range(min(folds, len(names))):
+            held = names[fold::folds]
+            tables = self.fitted([name for name in names if name not in held])
+            for name in held:
+                swept = swept_run(self.dataset, name, self.recordings[name], tables, mode)
+                for kind, one in swept.items():
+                    sweeps[kind].append(one)
+        return {kind: operating_point(own) for kind, own in sweeps.items()}
+
+
+def swept_run(
+    dataset: Dataset, name: str, recording: Recording, tables: Tables, mode: str
+) -> dict[str, Sweep]:
+    """One sequence tracked by its detections alone, written, and counted at every threshold by the
+    dataset's first rule."""
+    import tempfile
+
+    from pmbm.cli.dataset_scores import rule_of
+    from pmbm.cli.track import tracked
+    from pmbm.errors import InputError
+    from pmbm.metrics.benchmarks.operating_point import sweep
+    from pmbm.metrics.benchmarks.trackeval import SimilarityScore
+    from pmbm.study.configured import ConfiguredTracker
+    from pmbm.types import Label
+
+    rule = rule_of(dataset, None).score
+    if not isinstance(rule, SimilarityScore):
+        raise InputError(f"{dataset.name}: its rule has no thresholds to compare", field="--folds")
+    trackers = {
+        Label(label): ConfiguredTracker("pmbm", tuple(tables[kind].items()))
+        for kind, label in zip(dataset.classes, dataset.labels, strict=True)
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        dataset.write(name, tracked(name, recording, trackers, mode), Path(folder))
+        return {
+            kind: sweep(rule, dataset.compared(name, kind, Path(folder)))
+            for kind in dataset.classes
+        }
+
+
+def as_table(record: ScoreRecord) -> dict[str, Any]:
+    """As a file has it, to the digits that tell."""
+    from pmbm.filter.models.score_record import WEIGHTS
+
+    return {
+        "kind": "record",
+        "label": record.label,
+        **{name: _short(getattr(record, name)) for name in WEIGHTS},
+        "memory": record.memory,
+        **_scale_table((record.middle, record.spread)),
+    }
+
+
+def factored(tables: Tables) -> dict[str, Any]:
+    """The same parameters with what all classes share said once, at the top."""
+    first, *others = tables.values()
+    shared = _shared(first, others) if others else {}
+    return {**shared, **{kind: _without(own, shared) for kind, own in tables.items()}}
+
+
+def _shared(first: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in first.items():
+        theirs = [other.get(key) for other in others]
+        if all(isinstance(one, dict) for one in (value, *theirs)):
+            inner = _shared(value, [one for one in theirs if one is not None])
+            if inner:
+                found[key] = inner
+        elif all(one == value for one in theirs):
+            found[key] = value
+    return found
+
+
+def _without(own: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
+    left: dict[str, Any] = {}
+    for key, value in own.items():
+        if key not in shared:
+            left[key] = value
+        elif isinstance(value, dict):
+            inner = _without(value, shared[key])
+            if inner:
+                left[key] = inner
+    return left
+
+
+def report(points: Mapping[str, OperatingPoint | None], title: str) -> str:
+    """The operating points and reliability of left-out sequences, as Markdown."""
+    from pmbm.reports.tables import markdown_table
+
+    lines = [f"{title}, each tracked by a fit to the other folds.", ""]
+    header = [
+        "class", "MOTA", "95 %", "best threshold's", "regret", "reported", "true", "by sequence",
+        "log loss",
+    ]  # fmt: skip
+    rows = []
+    for kind, one in points.items():
+        if one is None:
+            rows.append([kind, *["no objects"] * (len(header) - 1)])
+            continue
+        ends = "–" if one.low is None else f"[{one.low:.3f}, {one.high:.3f}]"
+        rows.append(
+            [
+                kind,
+                f"{one.mota:.4f}",
+                ends,
+                f"{one.best:.4f} at {one.best_threshold:.2f}",
+                f"{one.regret:.4f}",
+                _cell(one.reported),
+                _cell(one.true),
+                _cell(one.spread),
+                _cell(one.log_loss),
+            ]
+        )
+    lines += [markdown_table(header, rows, 1), ""]
+    lines += [
+        "reported: mean probability of what was reported; true: the share of it that is; by "
+        "sequence: root mean square of their difference.  Where reports say p, a share of",
+        "",
+    ]
+    for kind, one in points.items():
+        if one is not None and one.reported is not None:
+            said, share = one.reliability.curve
+            pairs = (f"{p:.2f}: {q:.2f}" for p, q in zip(said, share, strict=True))
+            lines.append(f"- {kind} is true: {', '.join(pairs)}")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3f}"
+
+
+def _neutral(label: Label, scale: Scale) -> dict[str, Any]:
+    """A record by which every source is an object."""
+    return {
+        "kind": "record",
+        "label": int(label),
+        "offset": 40.0,
+        "score": 0.0,
+        **_scale_table(scale),
+    }
+
+
+def _scale_table(scale: Scale) -> dict[str, Any]:
+    middle, spread = scale
+    return {
+        "middle": [_short(value) for value in middle.tolist()],
+        "spread": [_short(value) for value in spread.tolist()],
+    }
+
+
+def _config(table: dict[str, Any]) -> Any:
+    """The configuration that a class's parameters make."""
+    from pmbm.study.configured import ConfiguredTracker
+    from pmbm.types import Site
+
+    made: Any = ConfiguredTracker("pmbm", tuple(table.items()))(Site())
+    return made.config
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")

@@ -1,0 +1,240 @@
+"""What a source's detections have said, in the filter, fitted, and at its operating point."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mark_builders import frame, street
+
+from pmbm.cli.detector import Detector, read_detectors
+from pmbm.errors import InputError
+from pmbm.filter import PMBMConfig, PMBMTracker, Report
+from pmbm.filter.models.score_record import WEIGHTS, ScoreRecord, features
+from pmbm.fitting.score_record import Rows, fit_records, rows, score_scale
+from pmbm.metrics.benchmarks.operating_point import operating_point, sweep
+from pmbm.metrics.benchmarks.rules import ComparedSequence
+from pmbm.metrics.benchmarks.trackeval import SimilarityScore
+from pmbm.metrics.core.scene import pair_overlap
+from pmbm.types import CLUTTER, Detections, GroundTruth, Label, Tracks
+
+MIDDLE = np.where(np.arange(7) == Label.CAR, 1.0, 0.0)
+SPREAD = np.where(np.isin(np.arange(7), [Label.CAR, Label.PEDESTRIAN]), 2.0, 0.0)
+
+
+def record(**changes):
+    return ScoreRecord(
+        **{
+            "label": Label.CAR,
+            "middle": MIDDLE,
+            "spread": SPREAD,
+            "offset": -0.5,
+            "score": 1.2,
+            "mean_score": 0.7,
+            "count": 0.4,
+            "distance": 0.3,
+            "distance_squared": -0.2,
+            "rival": -1.5,
+            **changes,
+        }
+    )
+
+
+def tracker(**changes):
+    config = replace(
+        PMBMConfig.textbook(), scores=record(**changes), report=Report(above=0.0, exclusive=False)
+    ).changed({"sensor.clutter_rate": 1e-9, "sensor.position_sd": 0.1})
+    return PMBMTracker(config)
+
+
+def test_the_record_is_that_of_the_formula():
+    """Three detections at 20 m, written out: recent mean, mean, number, distance."""
+    one = tracker(memory=0.5)
+    given = [3.0, 0.0, 2.0]
+    for k, raw in enumerate(given):
+        tracks = one.step(frame(0.1 * k, [[20.0, 0.0]], raw))
+    scaled = [(raw - 1.0) / 2.0 for raw in given]
+    weight = [math.exp(-0.4), math.exp(-0.2), 1.0]
+    recent = sum(w * s for w, s in zip(weight, scaled, strict=True)) / sum(weight)
+    away = (20.0 - 30.0) / 15.0
+    log_odds = -0.5 + 1.2 * recent + 0.7 * sum(scaled) / 3 + 0.4 * math.log(3 / 5)
+    log_odds += 0.3 * away - 0.2 * away**2
+    row = int(np.argmax(one.density.hypothesis_probability()))
+    existence = one.density.local.existence[row]
+    assert tracks.score[0] == pytest.approx(existence / (1 + math.exp(-log_odds)), rel=1e-3)
+    assert one.inspect().object[0] == pytest.approx(tracks.score[0])
+
+
+def test_a_miss_changes_no_mean():
+    one = tracker()
+    for k in range(3):
+        one.step(frame(0.1 * k, [[20.0, 0.0]], 2.0))
+    before = features(one.density.local.record, np.full(len(one.density.local), 20.0))
+    one.step(frame(0.3, np.zeros((0, 2)), np.zeros(0)))
+    after = features(one.density.local.record, np.full(len(one.density.local), 20.0))
+    assert after.max(axis=0) == pytest.approx(before.max(axis=0))
+
+
+@pytest.mark.parametrize(
+    ("label", "away", "expected"),
+    [
+        (Label.PEDESTRIAN, 0.5, math.log1p(math.exp(3 * 0.75)) / 3),
+        (Label.PEDESTRIAN, 0.9, 0.0),
+        (Label.TRUCK, 0.5, 0.0),
+    ],
+    ids=["at its place", "apart", "of an unknown scale"],
+)
+def test_a_rival_counts_by_its_score_at_the_same_place(label, away, expected):
+    one = tracker()
+    both = frame(0.0, [[20.0, 0.0], [20.0 + away, 0.0]], [3.0, 1.5], label=[Label.CAR, label])
+    one.step(both)
+    told = features(one.density.local.record, np.full(len(one.density.local), 20.0))
+    assert told[:, WEIGHTS.index("rival")] == pytest.approx(expected)
+
+
+def test_a_long_life_at_one_score_is_no_certainty():
+    """The same score a hundred times says what it said at first: only `count` speaks."""
+    one = tracker(count=0.0)
+    scores = [one.step(frame(0.1 * k, [[20.0, 0.0]], 1.2)).score[0] for k in range(100)]
+    assert scores[-1] == pytest.approx(scores[9], abs=1e-3)
+    assert scores[-1] < 0.5
+
+
+def test_without_raw_scores_it_is_refused():
+    with pytest.raises(InputError, match="reads raw scores"):
+        tracker().step(frame(0.0, [[20.0, 0.0]]))
+    with pytest.raises(InputError, match="spread is above 0"):
+        record(label=Label.TRUCK)
+
+
+def simulated(rng, weights, n=20_000):
+    x = rng.normal(0, 1, (n, len(WEIGHTS)))
+    x[:, 0] = 1.0
+    existence = rng.uniform(0.3, 1.0, n)
+    share = 1 / (1 + np.exp(-x @ weights))
+    return Rows(x, existence, rng.random(n) < existence * share)
+
+
+def test_weights_are_found_again():
+    rng = np.random.default_rng(0)
+    weights = np.array([-1.0, 2.0, 0.5, 0.3, -0.4, 0.2, -1.0])
+    found = fit_records({Label.CAR: simulated(rng, weights)}, (MIDDLE, SPREAD), few=0)
+    got = [getattr(found[Label.CAR], name) for name in WEIGHTS]
+    assert got == pytest.approx(weights, abs=0.1)
+
+
+def test_few_objects_borrow_from_the_others():
+    """Thirty rows of one label alone, and beside twenty thousand of another of the same weights."""
+    rng = np.random.default_rng(1)
+    weights = np.array([-1.0, 2.0, 0.5, 0.3, -0.4, 0.2, -1.0])
+    few, many = simulated(rng, weights, 30), simulated(rng, weights)
+    spread = np.ones(7)
+    alone = fit_records({Label.CYCLIST: few}, (MIDDLE, spread))[Label.CYCLIST]
+    both = fit_records({Label.CYCLIST: few, Label.PEDESTRIAN: many}, (MIDDLE, spread))
+    error = [
+        np.abs(np.array([getattr(one, name) for name in WEIGHTS]) - weights).sum()
+        for one in (alone, both[Label.CYCLIST])
+    ]
+    assert error[1] < 0.5 * error[0]
+
+
+def test_rows_of_a_street_tell_its_cars_from_its_poles():
+    made = [street(seed) for seed in range(4)]
+    scale = score_scale(made, [Label.CAR])
+    neutral = ScoreRecord(label=Label.CAR, middle=scale[0], spread=scale[1], offset=40.0, score=0.0)
+    config = replace(PMBMConfig.textbook(), scores=neutral).changed(
+        {"sensor.clutter_rate": 1.0, "sensor.position_sd": 0.1}
+    )
+    found = Rows.joined([rows(one, Label.CAR, config) for one in made[:3]])
+    fitted = fit_records({Label.CAR: found}, scale)[Label.CAR]
+    one = PMBMTracker(replace(config, scores=fitted), made[3].site)
+    for detections in made[3].detections:
+        tracks = one.step(detections)
+    cars = made[3].truth[-1].position[:, :2]
+    apart = np.hypot(*(tracks.position[:, None, :2] - cars).transpose(2, 0, 1))
+    assert (made[3].origin[-1] == CLUTTER).any()
+    assert len(tracks)
+    assert (apart.min(axis=1) < 1.0).all()
+
+
+def test_nothing_true_is_nothing_to_fit_to():
+    none = Rows(np.ones((3, len(WEIGHTS))), np.ones(3), np.zeros(3, bool))
+    with pytest.raises(InputError, match="0 true of 3 rows"):
+        fit_records({Label.CAR: none}, (MIDDLE, SPREAD))
+
+
+def compared():
+    """Two frames, two objects: both found at .9 and .6, then one, and a false report at .7."""
+
+    def boxes(x):
+        n = len(x)
+        return {
+            "position": np.column_stack([x, np.zeros(n), np.zeros(n)]),
+            "size": np.tile([4.0, 2.0, 1.5], (n, 1)),
+            "yaw": np.zeros(n),
+            "velocity": np.zeros((n, 2)),
+            "label": np.zeros(n, np.int8),
+        }
+
+    truth = [
+        GroundTruth(
+            time=0.1 * k,
+            id=np.array([0, 1]),
+            visibility=np.ones(2),
+            observable=np.ones(2, bool),
+            crashed=np.zeros(2, bool),
+            **boxes([0.0, 20.0]),
+        )
+        for k in range(2)
+    ]
+    tracks = [
+        Tracks(time=0.0, id=np.array([5, 6]), score=np.array([0.9, 0.6]), **boxes([0.0, 20.0])),
+        Tracks(time=0.1, id=np.array([5, 7]), score=np.array([0.9, 0.7]), **boxes([0.0, 50.0])),
+    ]
+    return ComparedSequence(truth=tuple(truth), tracks=tuple(tracks), excused=np.zeros(4, bool))
+
+
+def test_an_operating_point_by_hand():
+    by = SimilarityScore(lambda scene, _: pair_overlap(scene), 0.25, "3D IoU of at least .25")
+    thresholds = np.array([0.0, 0.65, 0.8])
+    found = sweep(by, compared(), thresholds)
+    # All: one missed, one false.  Above .65: two missed, one false.  Above .8: two missed.
+    assert found.errors.tolist() == [2, 3, 2]
+    assert found.truths == 4
+    point = operating_point([found], thresholds)
+    assert (point.mota, point.best, point.regret) == (0.5, 0.5, 0.0)
+    assert point.reported == pytest.approx(0.775)
+    assert point.true == pytest.approx(0.75)
+    said = np.log([0.9, 0.6, 0.9, 0.3])
+    assert point.log_loss == pytest.approx(-said.mean())
+    assert point.low is None
+
+
+def test_a_detector_is_told_by_its_scores_and_their_number():
+    here = Detector((-2.0, -1.0, 0.0, 2.0, 4.0), 5.0)
+    assert here.differs(Detector((-2.1, -1.2, 0.3, 2.2, 4.5), 4.0)) is None
+    assert "not from" in here.differs(Detector((-0.5, 1.0, 4.0, 9.0, 13.0), 5.0))
+    assert "boxes a frame" in here.differs(Detector((-2.0, -1.0, 0.0, 2.0, 4.0), 30.0))
+    assert here.differs(Detector((), 0.0)) is None
+    with pytest.raises(InputError, match="not a detector's table"):
+        read_detectors({"Car": {"scores": 3}}, ["Car"])
+
+
+def test_the_detector_of_recordings_is_that_of_all_their_frames():
+    made = street(0)
+    scores = np.concatenate([one.raw_score for one in made.detections])
+    found = Detector.of([made], Label.CAR)
+    assert found.scores[2] == pytest.approx(np.median(scores), rel=1e-3)
+    assert found.boxes == pytest.approx(len(scores) / len(made.detections), rel=1e-3)
+    assert Detector.of([made], Label.CYCLIST).scores == ()
+
+
+def test_no_detections_have_no_scale():
+    made = street(0)
+    empty = tuple(Detections.empty(one.time) for one in made.detections)
+    bare = replace(made, detections=empty, origin=None)
+    middle, spread = score_scale([bare], [Label.CAR])
+    assert not middle.any()
+    assert not spread.any()
