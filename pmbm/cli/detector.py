@@ -83,37 +83,51 @@ class Detector:
 def heed_detector(
     dataset: Dataset,
     sequences: Sequence[str],
-    config: Path | None,
+    config: Path,
+    told: Any,
+    others: Mapping[str, Any],
     trackers: Mapping[Label, ConfiguredTracker],
 ) -> None:
     """Warn where the detections are not of the kind that a preset was fitted to, by the first few
     sequences.
 
+    told : what the preset's file, `config`, says of its detector; others : what those say that ship
+        for other detectors, by name.
+
     Raises InputError where the preset would report none of a class whatever came.
     """
-    from pmbm.cli.track import read_toml
-
-    told = {} if config is None else read_toml(config).get("detector", {})
     known = read_detectors(told, dataset.classes, config)
     if not known:
         return
     recordings = [dataset.recording(name, truth=False) for name in sequences[:_LOOKED_AT]]
+    seen = {}
     for kind, label in zip(dataset.classes, map(Label, dataset.labels), strict=True):
         here = Detector.of(recordings, label)
-        count = here.boxes * sum(len(one.detections) for one in recordings)
-        if kind not in known or count < _ENOUGH:
-            continue
-        how = known[kind].differs(here)
-        if how is None:
-            continue
-        hint = "pmbm fit-tracker fits one to these; with --unlabelled, without labels"
-        if _hopeless(trackers[label], here):
+        if here.boxes * sum(len(one.detections) for one in recordings) >= _ENOUGH:
+            seen[kind] = here
+    fitting = [
+        name
+        for name, table in others.items()
+        if not _differences(read_detectors(table, dataset.classes), seen)
+    ]
+    hint = "pmbm fit-tracker fits one to these; with --unlabelled, without labels"
+    if fitting:
+        hint = f"--config {fitting[0]} looks like these; {hint}"
+    labels = dict(zip(dataset.classes, map(Label, dataset.labels), strict=True))
+    for kind, how in _differences(known, seen).items():
+        if _hopeless(trackers[labels[kind]], seen[kind]):
             raise InputError(
                 f"{kind}: the preset is of another detector, and would report nothing: {how}",
                 file=config,
                 hint=hint,
             )
         warn(f"{kind}: the preset is of another detector: {how}; {hint}")
+
+
+def _differences(known: Mapping[str, Detector], seen: Mapping[str, Detector]) -> dict[str, str]:
+    """Of each class that differs, how."""
+    found = {kind: known[kind].differs(here) for kind, here in seen.items() if kind in known}
+    return {kind: how for kind, how in found.items() if how is not None}
 
 
 def _hopeless(tracker: ConfiguredTracker, here: Detector) -> bool:

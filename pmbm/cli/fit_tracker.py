@@ -96,7 +96,7 @@ def command(
         kind: nested(dict(trackers[Label(label)].parameters))
         for kind, label in zip(dataset.classes, dataset.labels, strict=True)
     }
-    study = _Study.of(dataset, names, given, labelled=not unlabelled)
+    study = Study.of(dataset, names, given, labelled=not unlabelled)
     tables = study.unlabelled() if unlabelled else study.fitted(names)
     how = "scores' scale by" if unlabelled else "scores by"
     note = (
@@ -116,7 +116,7 @@ def command(
 
 
 @dataclass(frozen=True)
-class _Study:
+class Study:
     """Sequences to fit to, with what is worked out once.
 
     found : of each class and sequence, the rows that the tracker may report.
@@ -130,7 +130,7 @@ class _Study:
     found: Mapping[tuple[str, str], Rows]
 
     @staticmethod
-    def of(dataset: Dataset, names: Sequence[str], given: Tables, *, labelled: bool) -> _Study:
+    def of(dataset: Dataset, names: Sequence[str], given: Tables, *, labelled: bool) -> Study:
         from pmbm.cli.detector import Detector
         from pmbm.fitting.score_record import rows, score_scale
         from pmbm.types import Label
@@ -149,7 +149,7 @@ class _Study:
             kind: Detector.of(list(recordings.values()), label)
             for kind, label in zip(dataset.classes, labels, strict=True)
         }
-        return _Study(dataset, recordings, given, scale, detector, found)
+        return Study(dataset, recordings, given, scale, detector, found)
 
     def fitted(self, names: Sequence[str]) -> Tables:
         """Each class's parameters, fitted to these sequences."""

@@ -39,9 +39,10 @@ if TYPE_CHECKING:
 @click.option(
     "--config",
     type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.toml",
-    help="The tracker's parameters; a table [CLASS] holds those of one class alone.  "
-    "[default: what ships for this tracker on this dataset, if anything]",
+    metavar="FILE.toml|DETECTOR",
+    help="The tracker's parameters; a table [CLASS] holds those of one class alone.  Or the name "
+    "of a detector that a preset ships for.  [default: what ships for this tracker on this "
+    "dataset, if anything]",
 )
 @click.option(
     "--mode",
@@ -86,12 +87,20 @@ def command(
     dataset = open_dataset(
         dataset_name, root=root, detections=detections, poses=poses, classes=classes or None
     )
+    if config is not None and not config.exists():
+        config = preset(dataset_name, tracker_name, str(config)) or config
     config = config or preset(dataset_name, tracker_name)
     trackers = class_trackers(dataset, tracker_name, config)
     names = list(dict.fromkeys(sequences)) or dataset.sequences()
     if getattr(dataset, "poses", ...) is None:
         warn("no --poses: objects are followed in the frame of the moving sensor")
-    heed_detector(dataset, names, config, trackers)
+    shipped = shipped_detectors(dataset_name, tracker_name)
+    told = {
+        path: read_toml(path).get("detector", {}) for path in {config, *shipped.values()} if path
+    }
+    others = {name: told[path] for name, path in shipped.items() if path != config}
+    if config is not None:
+        heed_detector(dataset, names, config, told[config], others, trackers)
     prepare_folder(out)
     logs = _logs(log, names)
     tasks = [
@@ -219,16 +228,30 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
     return dataclasses.replace(found, steps=tuple(steps), seconds=None, inspections=None)
 
 
-def preset(dataset: str, tracker: str) -> Path | None:
-    """The file of parameters that ships for a tracker on a dataset; how each was found is said in
-    it."""
+def preset(dataset: str, tracker: str, detector: str | None = None) -> Path | None:
+    """The file of parameters that ships for a tracker on a dataset, or for one detector there; how
+    each was found is said in it."""
     import re
+
+    name = "_".join([dataset, tracker, *([] if detector is None else [detector])])
+    if not re.fullmatch(r"[a-z0-9_]+", name):
+        return None
+    path = _presets() / f"{name}.toml"
+    return path if path.is_file() else None
+
+
+def shipped_detectors(dataset: str, tracker: str) -> dict[str, Path]:
+    """The files that ship for a tracker on a dataset, by the name of the detector."""
+    start = f"{dataset}_{tracker}_"
+    return {
+        path.stem.removeprefix(start): path for path in sorted(_presets().glob(f"{start}*.toml"))
+    }
+
+
+def _presets() -> Path:
     from importlib.resources import files
 
-    if not re.fullmatch(r"[a-z0-9_]+", tracker):
-        return None
-    path = Path(str(files("pmbm.datasets") / "presets" / f"{dataset}_{tracker}.toml"))
-    return path if path.is_file() else None
+    return Path(str(files("pmbm.datasets") / "presets"))
 
 
 def class_trackers(

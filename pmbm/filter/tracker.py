@@ -24,10 +24,11 @@ from pmbm.filter.models.birth_map import BirthMap
 from pmbm.filter.models.occlusion import Shadows
 from pmbm.filter.models.protocols import SceneDensity
 from pmbm.filter.models.sensor import ObservationModel
+from pmbm.filter.models.view import View
 from pmbm.filter.prediction import predict
 from pmbm.filter.reduction import ReductionStats, reduce, with_more_undetected
 from pmbm.filter.update import update
-from pmbm.types import Detections, Site, Tracks, unchecked
+from pmbm.types import Detections, FloatArray, Site, Tracks, unchecked
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -28,13 +28,11 @@ from pmbm.study.file import load_study
 from pmbm.tune import (
     FIRST_HELD_BACK_SEED,
     FIRST_REPORTING_SEED,
-    REPORTING_SEQUENCES,
     SPACES,
     Choice,
     Range,
     parse_space,
     refuse_reserved_seed,
-    refuse_reserved_sequences,
     tune,
 )
 from pmbm.types import CLUTTER, Label, Site
@@ -125,12 +123,6 @@ def test_what_is_kept_for_reporting_is_refused():
             refuse_reserved_seed(seed)
     with pytest.raises(InputError, match="kept for reporting"):
         refuse_reserved_seed(20_000_000)
-    refuse_reserved_sequences("kitti", ["0000", "0003", "0017"])
-    refuse_reserved_sequences("waymo", ["0006"])
-    for name in ("0006", "0008", "0010", "0012", "0014", "0015", "0016"):
-        with pytest.raises(InputError, match=f"kept for reporting.*got '{name}'"):
-            refuse_reserved_sequences("kitti", ["0000", name])
-    assert sum(map(len, REPORTING_SEQUENCES.values())) == 7
 
 
 @pytest.mark.parametrize("name", SPACES)
@@ -226,7 +218,6 @@ def test_bad_spaces(scene, tmp_path, capsys, monkeypatch, text, message):
         (("crossing", "--metric", "gopsa"), "did you mean 'gospa'"),
         (("crossing", "--tracker", "pmbn"), "did you mean 'pmbm'"),
         (("crossing", "--tracker", "pmbm.filter:PMBMTracker"), "expected a file"),
-        (("--dataset", "kitti", "--sequences", "0000", "0006"), "kept for reporting.*'0006'"),
         (("--dataset", "kitti", "--root", "."), "missing option.*--class"),
     ],
 )
