@@ -92,7 +92,7 @@ def command(
     config = config or preset(dataset_name, tracker_name)
     trackers = class_trackers(dataset, tracker_name, config)
     names = list(dict.fromkeys(sequences)) or dataset.sequences()
-    if getattr(dataset, "poses", ...) is None:
+    if getattr(dataset, "without_poses", False):
         warn("no --poses: objects are followed in the frame of the moving sensor")
     shipped = shipped_detectors(dataset_name, tracker_name)
     told = {

@@ -139,6 +139,11 @@ class Kitti:
         """The labels of the classes asked for, in their order."""
         return tuple(_LABELS[name] for name in self.classes)
 
+    @property
+    def without_poses(self) -> bool:
+        """Whether the world is the moving camera's own frame."""
+        return self.poses is None
+
     def sequences(self) -> list[str]:
         """The names of all sequences: those with a calibration."""
         folder = self.root / "calib"

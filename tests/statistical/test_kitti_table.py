@@ -74,8 +74,8 @@ def test_existence_is_honest_on_sequences_left_out(study, mode, verified, capsys
         short = [name for name, bar in BARS[kind].items() if reached[name] > bar]
         verified(
             f"kitti_{detector}_{kind.lower()}_{mode}",
-            f"{detector} {kind}, {mode}, left out: regret in MOTA, |reported - true|, its root mean "
-            "square by sequence" + ("" if not short else f"; missed: {', '.join(short)}"),
+            f"{detector} {kind}, {mode}, left out: regret in MOTA, |reported - true|, its "
+            "root mean square by sequence" + ("" if not short else f"; missed: {', '.join(short)}"),
             " ".join(f"{value:.4f}" for value in reached.values()),
             " ".join(f"{bar:g}" for bar in BARS[kind].values()),
             not short,
