@@ -126,7 +126,8 @@ def nearest_hint(name: object, valid: Iterable[str], what: str = "name") -> str:
     near = difflib.get_close_matches(str(name), choices, n=1, cutoff=_NEAR)
     if near:
         return f"did you mean '{near[0]}'?"
-    return f"valid {what}s: {', '.join(choices) or 'none'}"
+    many = f"{what}es" if what.endswith("s") else f"{what}s"
+    return f"valid {many}: {', '.join(choices) or 'none'}"
 
 
 def _short(value: object) -> str:

@@ -341,8 +341,18 @@ class Checker:
             )
         self._store("label", array.astype(np.int8))
 
-    def ids(self, n: int) -> None:
+    def ids(self, n: int, *, negative: str | None = None) -> None:
+        """Each id once; `negative` is the hint where none may be below 0."""
         array = self._shaped("id", np.int64, (n,))
+        below = np.flatnonzero(array < 0)
+        if negative is not None and len(below):
+            raise self._fail(
+                "id",
+                rows=below,
+                expected="numbers of at least 0",
+                got=int(array[below[0]]),
+                hint=negative,
+            )
         ordered = np.sort(array)
         repeated = ordered[1:] == ordered[:-1]
         if repeated.any():
@@ -354,18 +364,6 @@ class Checker:
                 got=int(twice),
             )
         self._store("id", array)
-
-    def not_negative(self, name: str, *, hint: str) -> None:
-        array = getattr(self.value, name)
-        rows = np.flatnonzero(array < 0)
-        if len(rows):
-            raise self._fail(
-                name,
-                rows=rows,
-                expected="numbers of at least 0",
-                got=int(array[rows[0]]),
-                hint=hint,
-            )
 
     def ints(self, name: str, shape: tuple[int, ...]) -> None:
         self._store(name, self._shaped(name, np.int64, shape))

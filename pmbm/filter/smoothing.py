@@ -39,8 +39,10 @@ def smooth(
     """The tracks of a whole run, each smoothed over its life: one `Tracks` per step, as given.
 
     A track counts as a whole: it is kept where its score, as of its last detection, with the
-    evidence of its whole life, exceeds the configuration's `keep_above`; it then lives from its
-    first report to its last detection, gaps of up to two seconds filled.  A detection that is
+    evidence of its whole life, exceeds the configuration's `keep_above`; where scores do not add up
+    so (`Scores.cumulative`), the mean of its scores counts, which is the share of its steps that is
+    expected to be true.  It then lives from its first report to its last detection, gaps of up to
+    two seconds filled.  A detection that is
     more probably another's counts as none.  A tracker that reports
     from a lower existence on (its own `report_above`) thus lets tracks begin before the step in
     which they became probable.  Positions and velocities are those of the Rauch-Tung-Striebel
@@ -70,8 +72,13 @@ def smooth(
     lives = []
     for number, rows in sorted(_rows_of_tracks(steps).items()):
         found = _forward(_life(steps, existence, number, rows, times), config)
-        if found is not None and found[0].score[-1] > config.report.keep_above:
-            lives.append(_with_boxes(_backward(*found)))
+        if found is None:
+            continue
+        life, forward = found
+        whole = float(life.score[-1] if config.scores.cumulative else life.score.mean())
+        if whole > config.report.keep_above:
+            life = replace(life, score=np.full(len(life.score), whole))
+            lives.append(_with_boxes(_backward(life, forward)))
     told: list[Tracks] = []
     for number, one in enumerate(steps):
         there = _present(lives, number)

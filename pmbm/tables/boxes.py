@@ -99,8 +99,9 @@ def each_once(cells: Cells, identity: IntArray, placed: Placed) -> None:
         raise cells.error(
             "the same id twice in a frame",
             "id",
+            int(first),
             int(second),
-            expected=f"each id once, as in row {int(first)}",
+            expected="each id once",
             got=int(identity[rows[0]]),
         )
 

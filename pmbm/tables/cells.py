@@ -45,9 +45,8 @@ class Cells:
         """Whether the column is there and not all of its cells are empty."""
         return name in self.table.column_names and self.table.column(name).null_count < len(self)
 
-    def error(self, problem: str, name: str, row: int | None = None, **details: Any) -> InputError:
-        """An InputError that names table, column and row."""
-        rows = () if row is None else (row,)
+    def error(self, problem: str, name: str, *rows: int, **details: Any) -> InputError:
+        """An InputError that names table, column and rows."""
         return InputError(f"{self.what}: {problem}", field=name, rows=rows, **details)
 
     def column(self, name: str) -> Column:

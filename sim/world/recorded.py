@@ -74,8 +74,16 @@ def recorded_paths(
     last = max((one.time[-1] for one in objects), default=0.0)
     start = first if form.start is None else form.start
     time = start + np.arange(ticks) / tick_rate
+    if start < first - _AT_A_SAMPLE:
+        raise InputError(
+            "starts before the recorded traffic",
+            file=form.file,
+            field="scene.start",
+            expected=f"at least {first:g} s",
+            got=f"{start:g} s",
+        )
     # The tick beyond the last frame is there for differences alone.
-    if not first - _AT_A_SAMPLE <= start or time[max(ticks - 2, 0)] > last + _AT_A_SAMPLE:
+    if time[max(ticks - 2, 0)] > last + _AT_A_SAMPLE:
         raise InputError(
             "longer than the recorded traffic",
             field="duration",

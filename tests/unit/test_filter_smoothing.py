@@ -19,6 +19,7 @@ from pmbm.filter import (
     Reduction,
     Report,
     ScoreLevels,
+    ScoreRecord,
     Survival,
     smooth,
 )
@@ -148,6 +149,23 @@ def test_the_whole_life_decides():
         shown[name] = sum(map(len, smooth(steps, config)))
     assert shown["pole"] == 0
     assert shown["car"] >= 15
+
+
+def test_scores_that_are_told_anew_at_each_detection_count_by_their_mean():
+    _, frames = drive(3, frames=20)
+    tracker = PMBMTracker(ALONE)
+    steps = [tracker.step(one) for one in frames]
+    # Clear for most of its life, doubtful at last.
+    told = [0.9] * (len(steps) - 3) + [0.3] * 3
+    steps = [replace(s, score=np.full(len(s), p)) for s, p in zip(steps, told, strict=True)]
+    record = ScoreRecord(
+        label=0, middle=np.zeros(7), spread=np.r_[1.0, np.zeros(6)], offset=0.0, score=1.0
+    )
+    assert not any(map(len, smooth(steps, ALONE)))
+    kept = [s for s in smooth(steps, replace(ALONE, scores=record)) if len(s)]
+    shown = [p for s, p in zip(steps, told, strict=True) if len(s)]
+    assert len(kept) == len(shown)
+    assert kept[0].score == pytest.approx(np.mean(shown))
 
 
 def test_a_detection_that_is_rather_anothers_does_not_decide():

@@ -29,7 +29,7 @@ def test_every_command_is_one_that_there_is(line):
         return
     assert program == "pmbm"
     assert name in COMMANDS
-    command = importlib.import_module(f"pmbm.cli.{name}").command
+    command = importlib.import_module(f"pmbm.cli.{name.replace('-', '_')}").command
     # Parses as on the command line: unknown options, wrong values and missing ones raise.
     command.make_context(name, words)
 

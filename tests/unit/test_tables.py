@@ -388,20 +388,24 @@ class TestResults:
         assert (figures["FP"], figures["FN"]) == (1, 3)
 
     @pytest.mark.parametrize(
-        ("text", "said", "line"),
+        ("text", "said", "lines"),
         [
-            ("time,id,x,y\n0,-1,1,1\n", "negative ids", 2),
-            ("time,id,x,y,score\n0,1,1,1,1.5\n", "expected a number at least 0 and at most 1", 2),
-            ("time,id,x,y\n0,1,1,1\n\n0,1,2,2\n", "the same id twice", 4),
-            ("time,x,y\n0,1,1\n", "a column is missing", None),
+            ("time,id,x,y\n0,-1,1,1\n", "negative ids", (2,)),
+            (
+                "time,id,x,y,score\n0,1,1,1,1.5\n",
+                "expected a number at least 0 and at most 1",
+                (2,),
+            ),
+            ("time,id,x,y\n0,1,1,1\n\n0,1,2,2\n", "the same id twice", (2, 4)),
+            ("time,x,y\n0,1,1\n", "a column is missing", ()),
         ],
     )
-    def test_bad_results(self, folder, tmp_path, text, said, line):
+    def test_bad_results(self, folder, tmp_path, text, said, lines):
         put(tmp_path / "out" / "s.csv", text)
         with pytest.raises(InputError, match=said) as error:
             opened(folder).compared("s", "other", tmp_path / "out")
         assert error.value.file == str(tmp_path / "out" / "s.csv")
-        assert error.value.rows == (() if line is None else (line,))
+        assert error.value.rows == lines
 
     def test_a_track_of_another_class(self, folder, tmp_path):
         dataset = opened(folder, classes=("car",))
@@ -424,7 +428,7 @@ BAD = [
     ("truth", "id,x,y\n1,1,1\n", "time", [], "time or frame"),
     ("truth", "time,id,x,y\n0,1,1\n", None, [2], "expected 4, as there are columns, got 3"),
     ("truth", "time;id;x;y\n0;1;1;1\n", "time;id;x;y", [], "unknown column"),
-    ("truth", "time,id,x,y\n0,1,1,1\n0,2,1,1\n0,1,2,2\n", "id", [4], "twice in a frame"),
+    ("truth", "time,id,x,y\n0,1,1,1\n0,2,1,1\n0,1,2,2\n", "id", [2, 4], "twice in a frame"),
     ("truth", "time,id,x,y\n0,,1,1\n", "id", [2], "an empty cell"),
     ("truth", "time,id,x,y,class\n0,1,1,1,carr\n", "class", [2], "did you mean 'car'?"),
     ("truth", "time,id,x,y,visibility\n0,1,1,1,1.1\n", "visibility", [2], "at most 1"),

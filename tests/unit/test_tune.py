@@ -20,7 +20,7 @@ from pmbm.cli.tune import present_values
 from pmbm.cli.tuning import Simulated
 from pmbm.datasets import open_dataset
 from pmbm.errors import InputError
-from pmbm.filter import ObjectClasses, PMBMConfig, ScoreLevels
+from pmbm.filter import ObjectClasses, PMBMConfig, ScoreRecord
 from pmbm.score import ScoreModel
 from pmbm.sim.toml_tables import toml_text
 from pmbm.study import ConfiguredTracker, run_trials, summarise
@@ -352,7 +352,7 @@ def test_a_dataset_is_tuned_by_its_own_rule(folder, tmp_path, capsys, mode):
     dataset = open_dataset("kitti", root=folder, classes=("Car",))
     tracker = class_trackers(dataset, "pmbm", out)[Label.CAR](Site())
     # What ships for this dataset and class is what there is to beat, and stays where not tuned.
-    assert isinstance(tracker.config.scores, ScoreLevels)
+    assert isinstance(tracker.config.scores, ScoreRecord)
     assert tracker.config.scores.label == Label.CAR
     found = refusal(capsys, *given, "--class", "Car", "--metric", "HOTTA")
     assert "did you mean 'HOTA'" in found

@@ -140,6 +140,11 @@ class Scores(Protocol):
     def needs_all_labels(self) -> bool:
         """Whether detections of other labels than the tracker's own are to be handed over."""
 
+    @property
+    def cumulative(self) -> bool:
+        """Whether P(object) at a track's last detection has the evidence of all before it; else it
+        is told anew at each, and the mean over its life says what share of it is true."""
+
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
         """The detections that may come from the tracker's objects, and what they say."""
 

@@ -86,6 +86,10 @@ class ScoreRecord(OneClass):
     def needs_all_labels(self) -> bool:
         return True
 
+    @property
+    def cumulative(self) -> bool:
+        return False
+
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
         """Raises InputError where the detections have no raw scores."""
         raw = detections.raw_score

@@ -43,6 +43,10 @@ class ScoredDetections:
 class NoRecord:
     """Sources of which no record is kept, R = 0."""
 
+    @property
+    def cumulative(self) -> bool:
+        return True
+
     def fade(self, dt: float) -> FloatArray:
         return np.zeros(0)
 
