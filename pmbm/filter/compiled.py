@@ -229,6 +229,9 @@ def _record_after(
     before: FloatArray, frame: Frame, missed: int, detected: int, row: Index, measurement: Index
 ) -> FloatArray:
     """Running sums (n,R) of what detections said, in the order of `_marks_after`."""
+    if not before.shape[1]:
+        # No record is kept: the usual case, in every step.
+        return np.zeros((len(row) + len(measurement) - detected, 0))
     transition, said = frame.transition, frame.scan.said.take(measurement, axis=0)
     known = (before * transition.scores.fade(transition.dt)).take(row, axis=0)
     return np.concatenate([known[:missed], known[missed:] + said[:detected], said[detected:]])

@@ -201,8 +201,12 @@ def objects(
 ) -> FloatArray:
     """(T,) the probability of each track to exist and be an object."""
     local, best = density.local, marginal.best
-    share = model.scores.recorded_share(local.record[best], region.distance(local.mean[best]))
-    return marginal.objects(model.scores.object_share(scene)) * share
+    exists = marginal.objects(model.scores.object_share(scene))
+    if not local.record.shape[1]:
+        return exists
+    return exists * model.scores.recorded_share(
+        local.record[best], region.distance(local.mean[best])
+    )
 
 
 class PMBMTracker:
