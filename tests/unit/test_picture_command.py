@@ -4,30 +4,11 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 from PIL import Image
+from short_road import short_road
 
 from pmbm.cli import main
 
-QUICK = """
-name = "short"
-stresses = "nothing, quickly"
-duration = 1.0
-
-[scene]
-kind = "road"
-sensor = { max_range = 60.0 }
-
-[scene.roads.main]
-start = [-200.0, 0.0]
-end = [200.0, 0.0]
-
-[scene.actors.car]
-road = "main"
-position = 210.0
-speed = 5.0
-
-[detector]
-profile = "nominal"
-"""
+QUICK = short_road(1.0)
 
 
 @pytest.fixture
