@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filter_problems import KEEP_ALL
-from scipy.optimize import approx_fprime
+from filterpy.kalman import KalmanFilter
 from scipy.stats import multivariate_normal
 
 from pmbm import Detections, InputError, PMBMConfig, PMBMTracker, Site
@@ -92,9 +92,10 @@ def told(density, names):
 
 
 def same(one, other, tolerance):
-    assert one.keys() == other.keys()
-    for key, (weight, objects) in one.items():
-        again, others = other[key]
+    # A parent of a weight below 1e-15 has its best child alone: what lacks weighs nothing.
+    assert all((one | other)[key][0] < 1e-12 for key in one.keys() ^ other.keys())
+    for key in one.keys() & other.keys():
+        (weight, objects), (again, others) = one[key], other[key]
         assert weight == pytest.approx(again, rel=tolerance, abs=tolerance)
         for cell, values in objects.items():
             np.testing.assert_allclose(values, others[cell], rtol=tolerance, atol=tolerance)
@@ -116,7 +117,11 @@ RADAR = Sensor(
 )
 
 
-OTHERS = [replace(LIDAR, position_sd=0.9, clutter_rate=9.0), RADAR]
+OTHERS = {
+    "lidar": replace(LIDAR, position_sd=0.9, clutter_rate=9.0),
+    "radar": RADAR,
+    "radar with radial velocities": replace(RADAR, radial_velocity_sd=0.3),
+}
 
 
 def in_both_orders(other, seed):
@@ -129,6 +134,7 @@ def in_both_orders(other, seed):
     site = Site(max_range=REACH, sensors=mounted)
     config = exact({"first": LIDAR, "second": other})
     rng = np.random.default_rng(seed)
+    has_velocity = other.radial_velocity_sd is not None
     pose = {one.name: one.pose_on(np.zeros(3)) for one in mounted}
     frames = [
         {
@@ -138,6 +144,7 @@ def in_both_orders(other, seed):
                 + rng.normal(0, 0.5, (2 - k, 2)),
                 name,
                 pose[name],
+                *((rng.normal(-3, 2, 2 - k), np.array([9.0, -1.0])) if has_velocity else ()),
             )
             for name in ("first", "second")
         }
@@ -155,7 +162,7 @@ def in_both_orders(other, seed):
     return posterior
 
 
-@pytest.mark.parametrize("other", OTHERS)
+@pytest.mark.parametrize("other", OTHERS.values(), ids=OTHERS)
 def test_deliveries_of_one_time_in_any_order_give_the_same_posterior(other):
     """With nothing pruned; a radar has R of its own for each measurement."""
     (one, left), (two, left_again) = in_both_orders(other, 4)
@@ -168,7 +175,7 @@ def test_deliveries_of_one_time_in_any_order_give_the_same_posterior(other):
 def test_no_order_of_deliveries_makes_a_difference(verified):
     worst, numbers = 0.0, 0
     for seed in range(20):
-        for other in OTHERS:
+        for other in OTHERS.values():
             (one, _), (two, _) = in_both_orders(other, seed)
             # A parent of a weight below 1e-15 has its best child alone: what lacks weighs nothing.
             lacking = [(one | two)[key][0] for key in one.keys() ^ two.keys()]
@@ -183,7 +190,8 @@ def test_no_order_of_deliveries_makes_a_difference(verified):
                     numbers += len(got)
     what = (
         f"worst difference of {numbers} numbers of posteriors by the order of two sensors' "
-        "deliveries of one time, nothing pruned, two lidars and a lidar and a radar, 20 worlds each"
+        "deliveries of one time, nothing pruned: two lidars, a lidar and a radar, and the same "
+        "with radial velocities, 20 worlds each"
     )
     verified("sensors_order", what, f"{worst:.1e}", 1e-9, bool(worst < 1e-9))
     assert worst < 1e-9
@@ -405,9 +413,8 @@ def test_the_covariance_of_a_radar_lies_along_its_line_of_sight():
     np.testing.assert_allclose(R, sampled, rtol=0.03)
 
 
-def test_the_third_component_is_the_gradient_of_the_range_rate():
-    """The update by position and radial velocity against a Kalman update with a numeric Jacobian,
-    and its weight against scipy's density."""
+def test_position_and_radial_velocity_are_one_measurement_of_three_components():
+    """The update and its weight against filterpy's, of a velocity along the line of sight."""
     mean = np.array([20.0, 12.0, -4.0, 6.0])
     cov = np.diag([0.5, 0.4, 3.0, 2.0]) + 0.1
     velocity, place = np.array([9.0, -1.0]), np.array([1.0, 2.0])
@@ -417,27 +424,40 @@ def test_the_third_component_is_the_gradient_of_the_range_rate():
     radar = RadarScan.of(sensor, frame)
     pairs = updated_pairs(mean[None], cov[None], np.zeros(1), z[None], radar, 100.0)
 
-    H, (R,) = np.eye(2, 4), radar.R
-    S = H @ cov @ H.T + R
-    K = cov @ H.T @ np.linalg.inv(S)
-    m, P = mean + K @ (z - H @ mean), cov - K @ S @ K.T
-    weight = multivariate_normal.logpdf(z, H @ mean, S)
-
-    def rate(x):
-        offset = x[:2] - place
-        return offset @ (x[2:] - velocity) / np.hypot(*offset)
-
-    J = approx_fprime(m, rate, 1e-6)
-    s = J @ P @ J + 0.15**2
-    k = P @ J / s
-    weight += multivariate_normal.logpdf(radial, rate(m), s)
-    np.testing.assert_allclose(pairs.mean[0], m + k * (radial - rate(m)), rtol=1e-5)
-    np.testing.assert_allclose(pairs.cov[0], P - np.outer(k, k) * s, rtol=1e-4, atol=1e-6)
-    assert pairs.log_weight[0] == pytest.approx(weight, abs=1e-5)
-    # Clutter: over the ground, along the line of sight, normal.
     sight = (z - place) / np.hypot(*(z - place))
+    across = sight[0] * velocity[1] - sight[1] * velocity[0]
+    kalman = KalmanFilter(dim_x=4, dim_z=3)
+    kalman.x, kalman.P = mean.copy(), cov.copy()
+    kalman.H = np.eye(3, 4)
+    kalman.H[2] = [0, 0, *sight]
+    kalman.R = np.zeros((3, 3))
+    kalman.R[:2, :2] = radar.R[0]
+    kalman.R[2, 2] = 0.15**2 + (0.01 * across) ** 2
+    kalman.update(np.array([*z, radial + sight @ velocity]))
+    np.testing.assert_allclose(pairs.mean[0], kalman.x, rtol=1e-9)
+    np.testing.assert_allclose(pairs.cov[0], kalman.P, rtol=1e-9, atol=1e-12)
+    assert pairs.log_weight[0] == pytest.approx(kalman.log_likelihood, abs=1e-9)
+    # Clutter: over the ground, along the line of sight, normal.
     expected = multivariate_normal.logpdf(radial + sight @ velocity, 0.0, 25.0 + 0.15**2)
     assert log_clutter_velocity(sensor, frame)[0] == pytest.approx(expected)
+
+
+def test_a_radial_velocity_is_as_sure_as_the_radar_says():
+    """Of objects whose place is measured and whose velocity is known but along the line of sight,
+    normalised errors have unit variance: the error of the bearing, which turns the line of sight,
+    is accounted for where the radar's own motion is most of what moves."""
+    rng = np.random.default_rng(1)
+    n, sensor = 4000, Sensor(range_sd=0.3, azimuth_sd=0.03, radial_velocity_sd=0.1)
+    bearing = rng.uniform(-np.pi, np.pi, n)
+    true_sight = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    velocity = np.array([20.0, 0.0])
+    place = (30.0 + rng.normal(0, 0.3, n))[:, None] * np.stack(
+        [np.cos(found := bearing + rng.normal(0, 0.03, n)), np.sin(found)], axis=1
+    )
+    radial = -true_sight @ velocity + rng.normal(0, 0.1, n)
+    radar = RadarScan.of(sensor, detections(0.0, place, radial=radial, velocity=velocity))
+    normalised = radar.radial_speed / np.sqrt(radar.radial_variance)
+    assert normalised.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * n))
 
 
 def test_a_radar_without_its_own_noise_is_a_lidar():

@@ -1,9 +1,9 @@
 """Gating and update by measurements each of which has a covariance of its own, and perhaps a radial
 velocity: a radar's.
 
-The position comes first, linear in the state.  The radial velocity u'(v - v_sensor), u the line of
-sight, is taken in after it, about the corrected state: an extended Kalman update of one component,
-which sees the line of sight from where the object is then known to be.
+The position comes first.  The radial velocity is taken in after it, linear in the state too: along
+the measured line of sight, not that to where an object is expected, so that the order of two
+sensors' deliveries of one time makes no difference.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def updated_pairs(
         corrected_mean(mean[row], W, y),
         corrected_cov(cov[row], W, R, innovation),
     )
-    if radar.radial_velocity is None:
+    if radar.radial_speed is None:
         return pairs
     return _with_radial_velocity(pairs, radar, distance, threshold)
 
@@ -108,16 +108,11 @@ def _with_radial_velocity(
 ) -> UpdatedPairs:
     """The pairs that remain in the gate, updated by the radial velocity as well; `distance` (n,) is
     the squared one of their positions."""
-    assert radar.radial_velocity is not None
-    offset = pairs.mean[:, :2] - radar.pose[:2]
-    range_ = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-3)[:, None]
-    sight, relative = offset / range_, pairs.mean[:, 2:] - radar.velocity
-    expected = (sight * relative).sum(axis=1)
-    # How the line of sight turns with the position, and the velocity along it.
-    H = np.concatenate([(relative - expected[:, None] * sight) / range_, sight], axis=1)
-    PH = np.einsum("nij,nj->ni", pairs.cov, H)
-    S = np.einsum("ni,ni->n", H, PH) + radar.sd**2
-    error = radar.radial_velocity[pairs.measurement] - expected
+    assert radar.radial_speed is not None
+    sight = radar.sight[pairs.measurement]
+    PH = np.einsum("nij,nj->ni", pairs.cov[:, :, 2:4], sight)
+    S = (PH[:, 2:4] * sight).sum(axis=1) + radar.radial_variance[pairs.measurement]
+    error = radar.radial_speed[pairs.measurement] - (sight * pairs.mean[:, 2:4]).sum(axis=1)
     further = error**2 / S
     inside = np.flatnonzero(distance + further < threshold)
     K = PH / S[:, None]

@@ -18,33 +18,40 @@ class RadarScan:
     """What is particular to the M measurements of a radar.
 
     R (M,2,2) : covariance of each measured position in the world, m^2.
-    pose (3,), velocity (2,) : of the sensor in the world, m, rad and m/s.
-    radial_velocity (M,) or None : rate of change of the range, m/s; sd : its standard deviation.
+    sight (M,2) : unit vectors from the sensor to the measured positions.
+    radial_speed (M,) or None : of the objects over the ground along `sight`, m/s: the rate of
+        change of the range, with the sensor's own motion taken out.
+    radial_variance (M,) : of these, m^2/s^2.
     """
 
     R: FloatArray
-    pose: FloatArray
-    velocity: FloatArray
-    radial_velocity: FloatArray | None
-    sd: float
+    sight: FloatArray
+    radial_speed: FloatArray | None
+    radial_variance: FloatArray
 
     @staticmethod
     def of(sensor: Sensor, detections: Detections) -> RadarScan | None:
         """Of these detections; None where they measure positions alone, all alike."""
-        polar = sensor.range_sd is not None and sensor.azimuth_sd is not None
+        polar = sensor.azimuth_sd is not None
         radial = None if sensor.radial_velocity_sd is None else detections.radial_velocity
         if not polar and radial is None:
             return None
-        velocity = detections.sensor_velocity
-        return RadarScan(
+        R = (
             world_covariance(sensor, detections)
             if polar
-            else np.broadcast_to(sensor.R, (len(detections), 2, 2)),
-            detections.sensor_pose,
-            np.zeros(2) if velocity is None else velocity,
-            radial,
-            sensor.radial_velocity_sd or 0.0,
+            else np.broadcast_to(sensor.R, (len(detections), 2, 2))
         )
+        sight, distance = _line_of_sight(detections)
+        if radial is None:
+            return RadarScan(R, sight, None, np.zeros(len(detections)))
+        assert detections.sensor_velocity is not None
+        assert sensor.radial_velocity_sd is not None
+        along = sight @ detections.sensor_velocity
+        across = _left_of(sight) @ detections.sensor_velocity
+        # The measured bearing's error turns the line of sight on the relative velocity across it.
+        bearing_sd = sensor.azimuth_sd or sensor.position_sd / distance
+        variance = sensor.radial_velocity_sd**2 + (bearing_sd * across) ** 2
+        return RadarScan(R, sight, radial + along, variance)
 
 
 def world_covariance(sensor: Sensor, detections: Detections) -> FloatArray:
@@ -56,10 +63,8 @@ def world_covariance(sensor: Sensor, detections: Detections) -> FloatArray:
     """
     assert sensor.range_sd is not None
     assert sensor.azimuth_sd is not None
-    offset = detections.position[:, :2] - detections.sensor_pose[:2]
-    distance = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-6)
-    along = offset / distance[:, None]
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    along, distance = _line_of_sight(detections)
+    across = _left_of(along)
     wide = (distance * sensor.azimuth_sd) ** 2 + sensor.range_sd**2 * 1e-12
     return (
         sensor.range_sd**2 * along[:, :, None] * along[:, None, :]
@@ -73,9 +78,20 @@ def log_clutter_velocity(sensor: Sensor, detections: Detections) -> FloatArray:
     assert detections.radial_velocity is not None
     assert detections.sensor_velocity is not None
     assert sensor.radial_velocity_sd is not None
-    offset = detections.position[:, :2] - detections.sensor_pose[:2]
-    distance = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-6)
-    speed = detections.radial_velocity + offset @ detections.sensor_velocity / distance
+    sight, _ = _line_of_sight(detections)
+    speed = detections.radial_velocity + sight @ detections.sensor_velocity
     variance = sensor.clutter_speed_sd**2 + sensor.radial_velocity_sd**2
     density: FloatArray = -0.5 * (np.log(2 * np.pi * variance) + speed**2 / variance)
     return density
+
+
+def _line_of_sight(detections: Detections) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors (M,2) from the sensor to the measured positions, and their distances (M,), m."""
+    offset = detections.position[:, :2] - detections.sensor_pose[:2]
+    distance = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), 1e-6)
+    return offset / distance[:, None], distance
+
+
+def _left_of(sight: FloatArray) -> FloatArray:
+    """(M,2) at right angles to unit vectors (M,2)."""
+    return np.stack([-sight[:, 1], sight[:, 0]], axis=1)
