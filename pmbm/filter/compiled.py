@@ -15,7 +15,7 @@ import numpy as np
 
 from pmbm.filter import estimation
 from pmbm.filter.config import PMBMConfig
-from pmbm.filter.density import Density, Globals, Index, Locals, Marks, Mixture, RecycledFrom
+from pmbm.filter.density import Density, Globals, Index, Locals, Marks, Mixture
 from pmbm.filter.frame import Frame, split_by_view, undetected_in
 from pmbm.filter.hypotheses import branching, clusters
 from pmbm.filter.hypotheses.weights import log_of
@@ -61,15 +61,9 @@ def advance(
     sensor = frame.sensor.over(frame.view, place_by_place=model.birth.place_by_place)
     hides = frame.sensor.occlusion and (model.birth.place_by_place or len(local) > 0)
     prune, merge_below = model.birth.thresholds(model.reduction.prune_undetected)
-    recycled = undetected.recycled_from
     limits = model.reduction
     ppp, columns, table, track_id, settled, origin, removed, pairs, seconds = native.step(
-        (
-            undetected.log_weight,
-            undetected.mean,
-            undetected.cov,
-            *((None, None, None) if recycled is None else recycled.columns()),
-        ),
+        undetected.columns(),
         births,
         (
             local.track,
@@ -140,15 +134,9 @@ def advance(
         rays.COS,
         rays.SIN,
     )
-    log_weight, mean, cov, recycled_columns = ppp
     track, existence, mean_of, cov_of, box, label, newest, shown, history, source = columns
     after = Density(
-        Mixture(
-            log_weight,
-            mean,
-            cov,
-            None if recycled_columns is None else RecycledFrom(*recycled_columns),
-        ),
+        Mixture.of_columns(ppp),
         Locals(
             track,
             existence,

@@ -4,6 +4,7 @@ clusters, a multi-Bernoulli mixture of detected ones (Pang & Radha 2021, Sec. 2.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +109,15 @@ class RecycledFrom:
         return result
 
 
+MixtureColumns: TypeAlias = tuple[
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    tuple[NDArray[np.int64], FloatArray, FloatArray] | None,
+]
+"""The fields of a `Mixture` and of its `RecycledFrom`."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Mixture:
     """`pmbm.types.GaussianMixture` without its checks, for use between the steps of the filter.
@@ -123,6 +133,21 @@ class Mixture:
 
     def __len__(self) -> int:
         return len(self.log_weight)
+
+    def columns(self) -> MixtureColumns:
+        """The fields and those of `recycled_from`, as the kernels take them."""
+        recycled = self.recycled_from
+        return (
+            self.log_weight,
+            self.mean,
+            self.cov,
+            None if recycled is None else recycled.columns(),
+        )
+
+    @staticmethod
+    def of_columns(columns: MixtureColumns) -> Mixture:
+        log_weight, mean, cov, recycled = columns
+        return Mixture(log_weight, mean, cov, None if recycled is None else RecycledFrom(*recycled))
 
     def never_detected(self) -> FloatArray:
         """(P,) expected objects of each component that no detection has ever shown."""

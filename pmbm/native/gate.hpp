@@ -8,6 +8,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <vector>
 
 namespace pmbm {
@@ -370,16 +371,18 @@ inline void unexplained(const double* z, const double* R, std::size_t measuremen
 inline void fuse(const Innovations& g, const double* log_height, const double* mean_of,
                  const double* cov_of, const double* R, const double* z, const double* log_total,
                  std::size_t measurements, double threshold, double* mean, double* cov) {
-    std::vector<Correction> correction;
-    correction.reserve(g.count);
-    for (std::size_t i = 0; i < g.count; ++i) {
-        correction.emplace_back(cov_of + 16 * i, g.l11[i], g.l21[i], g.l22[i], R);
-    }
+    // Of the Gaussian that was visited last: they come one after another, and most lie in no gate.
+    std::optional<Correction> correction;
+    std::size_t corrected = 0;
     // Moments about the measurement itself, at rest: near the mean, so that little cancels.
     std::vector<double> first(4 * measurements, 0.0), second(16 * measurements, 0.0);
     each_gated(g, z, measurements, threshold,
                [&](std::size_t i, std::int64_t j, double y0, double y1) {
-                   const auto& c = correction[i];
+                   if (!correction || corrected != i) {
+                       correction.emplace(cov_of + 16 * i, g.l11[i], g.l21[i], g.l22[i], R);
+                       corrected = i;
+                   }
+                   const auto& c = *correction;
                    const double share =
                        std::exp(log_height[i] - 0.5 * (y0 * y0 + y1 * y1) - log_total[j]);
                    double apart[4];

@@ -18,6 +18,7 @@
 #include "sensor.hpp"
 #include "step.hpp"
 #include "tables.hpp"
+#include "undetected_map.hpp"
 
 namespace nb = nanobind;
 
@@ -316,7 +317,7 @@ pmbm::OcclusionRules occlusion_rules(const nb::tuple& constants, const Table<dou
             {cos.data(), sin.data(), static_cast<std::int64_t>(cos.size())}};
 }
 
-// A mixture's columns: log_weight, mean, cov, and those of RecycledFrom, or None for all of them.
+// A mixture's columns: log_weight, mean, cov, and those of RecycledFrom or None.
 struct MixtureColumns {
     Input<double> log_weight;
     Table<double> mean, cov;
@@ -329,9 +330,10 @@ struct MixtureColumns {
           mean(nb::cast<Table<double>>(columns[1])), cov(nb::cast<Table<double>>(columns[2])) {
         if (columns[3].is_none()) return;
         any = true;
-        track = nb::cast<Input<std::int64_t>>(columns[3]);
-        share = nb::cast<Input<double>>(columns[4]);
-        recycled = nb::cast<Input<double>>(columns[5]);
+        const auto from = nb::cast<nb::tuple>(columns[3]);
+        track = nb::cast<Input<std::int64_t>>(from[0]);
+        share = nb::cast<Input<double>>(from[1]);
+        recycled = nb::cast<Input<double>>(from[2]);
     }
 
     pmbm::MixtureView view() const {
@@ -350,6 +352,20 @@ nb::tuple hand_over(pmbm::Mixture&& mixture) {
                                         hand_over(std::move(mixture.share)),
                                         hand_over(std::move(mixture.recycled))))
             : nb::none());
+}
+
+// A mixture's columns, those of the settled one, and the mass that was dropped.
+nb::tuple settled(nb::tuple ppp, Input<double> pose, double centre, double half_angle,
+                  double max_range, double spacing, double log_negligible, double fine_above,
+                  nb::tuple constants) {
+    const MixtureColumns mixture(ppp);
+    const auto number = [&](std::size_t i) { return nb::cast<double>(constants[i]); };
+    auto [settled, dropped] =
+        pmbm::MapSettler(mixture.view(), {pose.data(), centre, half_angle, max_range},
+                         {spacing, log_negligible, fine_above, number(0), number(1), number(2),
+                          number(3), number(4), number(5), number(6)})
+            .run();
+    return nb::make_tuple(hand_over(std::move(settled)), dropped);
 }
 
 // One step of the filter; pmbm/filter/compiled.py says what goes in and what comes out.
@@ -551,6 +567,7 @@ NB_MODULE(_native, m) {
     m.def("box_rays", &box_rays);
     m.def("likeliest", &likeliest);
     m.def("probability", &probability);
+    m.def("settled", &settled);
     m.def("step", &step);
     m.def("marginals", &marginals);
     m.def("neighbours", &neighbours);

@@ -50,9 +50,9 @@ inline double across(const double* pose, const double* mean, const double* cov) 
 
 class Shadows;
 
-// What can be seen of one Gaussian over places, point by point.
+// What can be seen of one Gaussian over places, point by point; made for one, and used for the next.
 struct Glimpse {
-    std::vector<double> visible;
+    std::vector<double> visible, left;
     std::vector<std::array<double, 2>> node;
     double S[4];
 
@@ -63,9 +63,9 @@ struct Glimpse {
 
     // Mean and covariance after a miss; `moves` : 0 for undetected objects, whose whole state
     // follows, else OcclusionRules::moves for tracks, whose place alone follows, and in part.
-    void if_missed(double in_the_open, double moves, double* mean, double* cov) const {
+    void if_missed(double in_the_open, double moves, double* mean, double* cov) {
         double total = 0, shift[2] = {0, 0}, spread[4] = {0, 0, 0, 0};
-        std::vector<double> left(visible.size());
+        left.resize(visible.size());
         for (std::size_t k = 0; k < visible.size(); ++k) {
             left[k] = 1 - in_the_open * visible[k];
             total += left[k];
@@ -173,7 +173,7 @@ class Shadows {
     }
 
     // What is seen of local hypothesis h, whose place is little known.
-    Glimpse of_track(std::size_t h) const {
+    void of_track(std::size_t h, Glimpse& seen) const {
         const double *cov = local_.cov + 16 * h, *box = box_ + 5 * h;
         const double c = std::cos(box[4]), s = std::sin(box[4]);
         const double along = box[1] * box[1] / 12, side = box[2] * box[2] / 12;
@@ -181,14 +181,14 @@ class Shadows {
                                   cov[1] + c * s * along - s * c * side,
                                   cov[4] + s * c * along - c * s * side,
                                   cov[5] + s * s * along + c * c * side};
-        return glimpse(local_.mean + 4 * h, spread, track_row_[track_[h]]);
+        look(local_.mean + 4 * h, spread, track_row_[track_[h]], seen);
     }
 
     // What is seen of an undetected object.
-    Glimpse of_undetected(const double* mean, const double* cov) const {
+    void of_undetected(const double* mean, const double* cov, Glimpse& seen) const {
         const double own = rules_.car_sd * rules_.car_sd;
         const double spread[4] = {cov[0] + own, cov[1], cov[4], cov[5] + own};
-        return glimpse(mean, spread, -1);
+        look(mean, spread, -1, seen);
     }
 
  private:
@@ -267,10 +267,12 @@ class Shadows {
 
     // log of the probability that nothing stands nearer at this bearing.
     double log_open(std::int64_t bearing, double distance) const {
-        const auto from = static_cast<std::size_t>(start_[static_cast<std::size_t>(bearing)]);
+        const auto from = start_[static_cast<std::size_t>(bearing)];
+        const auto to = start_[static_cast<std::size_t>(bearing) + 1];
         const double key = key_of(bearing, distance - rules_.touching);
-        const auto nearer = std::lower_bound(key_.begin(), key_.end(), key) - key_.begin();
-        return before_[static_cast<std::size_t>(nearer)] - before_[from];
+        const auto nearer = std::lower_bound(key_.begin() + from, key_.begin() + to, key);
+        return before_[static_cast<std::size_t>(nearer - key_.begin())] -
+               before_[static_cast<std::size_t>(from)];
     }
 
     // What a track's own outline takes from its rays.
@@ -286,7 +288,7 @@ class Shadows {
         return nearer ? log_open_[own] : 0.0;
     }
 
-    Glimpse glimpse(const double* mean, const double* spread, std::int64_t own) const {
+    void look(const double* mean, const double* spread, std::int64_t own, Glimpse& seen) const {
         const double x = mean[0] - pose_[0], y = mean[1] - pose_[1];
         const double range = std::max(std::hypot(x, y), 1e-9);
         const double lx = x / range, ly = y / range;
@@ -307,11 +309,21 @@ class Shadows {
         const double rest = std::sqrt(std::max(S[3] - slope * slope, 0.0));
         const auto bearings = rules_.compass.bearings;
         const double step = 2 * kPi / static_cast<double>(bearings);
-        Glimpse seen;
-        seen.visible.resize(rules_.count);
+        seen.visible.assign(rules_.count, 1.0);
         seen.node.resize(rules_.count);
         const double towards = std::atan2(ly, lx);
+        double aside = 0, nearest = range, furthest = range;
         for (std::size_t k = 0; k < rules_.count; ++k) {
+            const double* n = rules_.nodes + 2 * k;
+            const double side = sd * n[0], depth = slope * n[0] + rest * n[1];
+            seen.node[k] = {side * turn[0] + depth * turn[1], side * turn[2] + depth * turn[3]};
+            aside = std::max(aside, std::abs(side));
+            nearest = std::min(nearest, range + depth);
+            furthest = std::max(furthest, range + depth);
+        }
+        const bool open = nearest > 0 && is_open(towards - pose_[2], std::atan(aside / nearest),
+                                                 std::hypot(aside, furthest));
+        for (std::size_t k = 0; k < rules_.count && !open; ++k) {
             const double* n = rules_.nodes + 2 * k;
             const double side = sd * n[0], depth = slope * n[0] + rest * n[1];
             const double ahead = range + depth;
@@ -319,10 +331,9 @@ class Shadows {
             const auto cell = static_cast<std::int64_t>(std::floor(angle / step + kOnEdge));
             const auto bearing = ((cell % bearings) + bearings) % bearings;
             const double distance = std::hypot(side, ahead);
-            double open = log_open(bearing, distance);
-            if (!key_.empty()) open -= by_itself(bearing, distance, own);
-            seen.visible[k] = std::exp(std::min(open, 0.0));
-            seen.node[k] = {side * turn[0] + depth * turn[1], side * turn[2] + depth * turn[3]};
+            double log = log_open(bearing, distance);
+            if (!key_.empty()) log -= by_itself(bearing, distance, own);
+            seen.visible[k] = std::exp(std::min(log, 0.0));
         }
         for (int a = 0; a < 2; ++a) {
             for (int b = 0; b < 2; ++b) {
@@ -334,7 +345,23 @@ class Shadows {
                 seen.S[2 * a + b] = half[2 * a] * turn[2 * b] + half[2 * a + 1] * turn[2 * b + 1];
             }
         }
-        return seen;
+    }
+
+    // Whether nothing at all stands nearer than `distance` within `half` of an angle.
+    bool is_open(double angle, double half, double distance) const {
+        const auto bearings = rules_.compass.bearings;
+        const double step = 2 * kPi / static_cast<double>(bearings);
+        const auto first = static_cast<std::int64_t>(std::floor((angle - half) / step)) - 1;
+        const auto last = static_cast<std::int64_t>(std::floor((angle + half) / step)) + 1;
+        for (auto ray = first; ray <= last; ++ray) {
+            const auto bearing = ((ray % bearings) + bearings) % bearings;
+            const auto nearest = start_[static_cast<std::size_t>(bearing)];
+            if (nearest < start_[static_cast<std::size_t>(bearing) + 1] &&
+                key_[static_cast<std::size_t>(nearest)] < key_of(bearing, distance)) {
+                return false;
+            }
+        }
+        return true;
     }
 
     const OcclusionRules& rules_;

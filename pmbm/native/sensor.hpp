@@ -17,6 +17,18 @@ struct View {
 // The probability that a standard normal is at most x.
 inline double normal_below(double x) { return 0.5 * std::erfc(-x * std::sqrt(0.5)); }
 
+// Distance of a point from the view's boundary, m: negative inside.  beyond() of undetected_map.py.
+inline double beyond(const View& view, const double* point) {
+    const double pi = std::acos(-1.0);
+    const double x = point[0] - view.pose[0], y = point[1] - view.pose[1];
+    const double range = std::hypot(x, y), outside = range - view.max_range;
+    if (view.half_angle >= pi) return outside;
+    const double bearing = std::atan2(y, x) - view.pose[2] - view.centre;
+    const double off = std::abs(std::remainder(bearing, 2 * pi)) - view.half_angle;
+    const double sign = (off > 0) - (off < 0);
+    return std::max(outside, range * (std::abs(off) < pi / 2 ? std::sin(off) : sign));
+}
+
 inline void share_inside(const double* mean, const double* cov, std::size_t count, const View& view,
                          double* share) {
     const double pi = std::acos(-1.0);

@@ -17,6 +17,7 @@
 #include "branch.hpp"
 #include "gate.hpp"
 #include "merge.hpp"
+#include "mixture.hpp"
 #include "occlusion.hpp"
 #include "reduce.hpp"
 #include "sensor.hpp"
@@ -27,15 +28,6 @@ namespace pmbm {
 // log 0 in weights, so that what nothing explains gets the smallest weight there is.
 constexpr double kLogTiny = -700.0;
 constexpr double kNothing = -std::numeric_limits<double>::infinity();
-
-// A Gaussian mixture: log_weight (P,), mean (P,4), cov (P,4,4); and the columns of RecycledFrom, null
-// where nothing was recycled.
-struct MixtureView {
-    const double *log_weight, *mean, *cov;
-    const std::int64_t* track;
-    const double *share, *recycled;
-    std::size_t count;
-};
 
 // What was born meanwhile: log_weight (P,), mean (P,4), cov (P,4,4).  in_place: survivors that begin
 // with the births of the interval before take in the new ones component by component.
@@ -88,27 +80,6 @@ struct StepRules {
     double most_of_one;
 };
 
-struct Mixture {
-    Floats log_weight, mean, cov;
-    Ints track;
-    Floats share, recycled;
-
-    std::size_t size() const { return log_weight.size(); }
-
-    void append(const Mixture& other, std::size_t i) {
-        log_weight.push_back(other.log_weight[i]);
-        mean.insert(mean.end(), other.mean.begin() + 4 * i, other.mean.begin() + 4 * (i + 1));
-        cov.insert(cov.end(), other.cov.begin() + 16 * i, other.cov.begin() + 16 * (i + 1));
-        track.push_back(other.track[i]);
-        share.push_back(other.share[i]);
-        recycled.push_back(other.recycled[i]);
-    }
-
-    bool any_recycled() const {
-        return std::any_of(recycled.begin(), recycled.end(), [](auto part) { return part > 0; });
-    }
-};
-
 // What a step leaves: the tables of the density, and where each local hypothesis came from.  Of the
 // kept local hypotheses, the first `missed` are of the rows `from` of the predicted table, missed,
 // the next `detected` took `measurement`, the others are new tracks of `measurement`.
@@ -139,24 +110,6 @@ inline double log_sum(double a, double b) {
     return top + std::log1p(std::exp(std::min(a, b) - top));
 }
 
-inline Mixture owned(const MixtureView& view) {
-    const auto n = view.count;
-    Mixture out;
-    out.log_weight.assign(view.log_weight, view.log_weight + n);
-    out.mean.assign(view.mean, view.mean + 4 * n);
-    out.cov.assign(view.cov, view.cov + 16 * n);
-    if (view.track) {
-        out.track.assign(view.track, view.track + n);
-        out.share.assign(view.share, view.share + n);
-        out.recycled.assign(view.recycled, view.recycled + n);
-    } else {
-        out.track.assign(n, -1);
-        out.share.assign(n, 0.0);
-        out.recycled.assign(n, 0.0);
-    }
-    return out;
-}
-
 // BroadBirth.joined().
 inline Mixture with_births(Mixture&& survivors, const BirthsView& births) {
     const auto n = births.count;
@@ -182,40 +135,6 @@ inline Mixture with_births(Mixture&& survivors, const BirthsView& births) {
     return std::move(survivors);
 }
 
-// RecycledFrom.merged() for one group of components.
-inline void merge_recycled(const Mixture& mixture, const std::size_t* rows, std::size_t count,
-                           const double* weight, double total, std::int64_t& track,
-                           double& share, double& recycled) {
-    track = -1;
-    share = recycled = 0;
-    struct Part {
-        std::int64_t track;
-        double mass;
-    };
-    std::vector<Part> parts;
-    for (std::size_t i = 0; i < count; ++i) {
-        const double own = weight[i] * mixture.share[rows[i]];
-        recycled += weight[i] * mixture.recycled[rows[i]] / total;
-        if (mixture.track[rows[i]] >= 0 && own > 0) {
-            parts.push_back({mixture.track[rows[i]], own});
-        }
-    }
-    std::stable_sort(parts.begin(), parts.end(),
-                     [](const Part& a, const Part& b) { return a.track < b.track; });
-    double best = -1;
-    for (std::size_t i = 0, end = 0; i < parts.size(); i = end) {
-        double mass = 0;
-        for (end = i; end < parts.size() && parts[end].track == parts[i].track; ++end) {
-            mass += parts[end].mass;
-        }
-        if (mass >= best) {
-            best = mass;
-            track = parts[i].track;
-            share = mass / total;
-        }
-    }
-}
-
 // merge_mixture() of reduction.py.
 inline Mixture merged_mixture(const Mixture& mixture, double threshold, double alike,
                               double as_heavy) {
@@ -237,36 +156,12 @@ inline Mixture merged_mixture(const Mixture& mixture, double threshold, double a
             continue;
         }
         weight.clear();
-        double total = 0;
         for (auto k = i; k < end; ++k) {
             weight.push_back(std::exp(mixture.log_weight[order[k]] - top));
-            total += weight.back();
         }
-        double mean[4] = {0, 0, 0, 0}, cov[16] = {};
-        for (auto k = i; k < end; ++k) {
-            const double* m = mixture.mean.data() + 4 * order[k];
-            for (int a = 0; a < 4; ++a) mean[a] += weight[k - i] / total * m[a];
-        }
-        for (auto k = i; k < end; ++k) {
-            const double *m = mixture.mean.data() + 4 * order[k],
-                         *P = mixture.cov.data() + 16 * order[k];
-            for (int a = 0; a < 4; ++a) {
-                for (int b = 0; b < 4; ++b) {
-                    cov[4 * a + b] += weight[k - i] / total *
-                                      (P[4 * a + b] + (m[a] - mean[a]) * (m[b] - mean[b]));
-                }
-            }
-        }
-        out.log_weight.push_back(top + std::log(total));
-        out.mean.insert(out.mean.end(), mean, mean + 4);
-        out.cov.insert(out.cov.end(), cov, cov + 16);
-        std::int64_t track;
-        double share, recycled;
-        merge_recycled(mixture, order.data() + i, end - i, weight.data(), total, track, share,
-                       recycled);
-        out.track.push_back(track);
-        out.share.push_back(share);
-        out.recycled.push_back(recycled);
+        append_merged(out, mixture, order.data() + i, end - i,
+                      [&](auto k) { return mixture.mean.data() + 4 * order[i + k]; },
+                      weight.data(), top);
     }
     return out;
 }
@@ -362,11 +257,12 @@ class Stepper {
                               local_.track, H, track_existence.data(), best.data(), tracks_,
                               sensor_.occluders, occlusion_);
         Floats visible(H);
+        Glimpse glimpse;
         shadows.share_of_bearings(visible.data());
         for (std::size_t h = 0; h < H; ++h) {
             const double in_the_open = detection_[h];
             if (is_vague(cov_.data() + 16 * h, occlusion_)) {
-                const auto glimpse = shadows.of_track(h);
+                shadows.of_track(h, glimpse);
                 visible[h] = glimpse.share();
                 glimpse.if_missed(in_the_open, occlusion_.moves, missed_mean_.data() + 4 * h,
                                   missed_cov_.data() + 16 * h);
@@ -376,8 +272,7 @@ class Stepper {
         }
         for (std::size_t p = 0; sensor_.undetected_in_detail && p < ppp_.size(); ++p) {
             const double in_the_open = ppp_detection_[p];
-            const auto glimpse =
-                shadows.of_undetected(ppp_.mean.data() + 4 * p, ppp_.cov.data() + 16 * p);
+            shadows.of_undetected(ppp_.mean.data() + 4 * p, ppp_.cov.data() + 16 * p, glimpse);
             const double share = glimpse.share();
             ppp_detection_[p] = in_the_open * share;
             ppp_if_detected_[p] = in_the_open * std::max(share, occlusion_.least_visible);

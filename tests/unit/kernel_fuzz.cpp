@@ -11,6 +11,7 @@
 #include "road.hpp"
 #include "sensor.hpp"
 #include "tables.hpp"
+#include "undetected_map.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -659,6 +660,46 @@ void fuzz_road() {
     }
 }
 
+// The settled map and what was dropped weigh what the components did, and nothing in it is wide.
+void fuzz_map() {
+    const auto count = static_cast<std::size_t>(whole(0, 30));
+    pmbm::Mixture ppp;
+    double before = 0;
+    for (std::size_t p = 0; p < count; ++p) {
+        double root[16], weight = std::log(chance() + 1e-9);
+        for (auto& entry : root) entry = 12 * (chance() - 0.5);
+        for (int a = 0; a < 4; ++a) {
+            ppp.mean.push_back(100 * (chance() - 0.5));
+            for (int b = 0; b < 4; ++b) {
+                double sum = 0;
+                for (int c = 0; c < 4; ++c) sum += root[4 * a + c] * root[4 * b + c];
+                ppp.cov.push_back(sum);
+            }
+        }
+        ppp.log_weight.push_back(weight);
+        ppp.track.push_back(whole(-1, 4));
+        ppp.share.push_back(ppp.track.back() < 0 ? 0 : chance());
+        ppp.recycled.push_back(ppp.share.back());
+        before += std::exp(weight);
+    }
+    const double pose[3] = {chance(), chance(), 7 * chance()};
+    const double half_angle = chance() < 0.5 ? std::acos(-1.0) : chance();
+    const auto [after, dropped] =
+        pmbm::MapSettler({ppp.log_weight.data(), ppp.mean.data(), ppp.cov.data(), ppp.track.data(),
+                          ppp.share.data(), ppp.recycled.data(), count},
+                         {pose, chance(), half_angle, 40},
+                         {3.5, std::log(0.01), chance() < 0.5 ? kInf : 0.1, 2, 2, 0.5, 1.75, 6,
+                          0.1, 1e-6})
+            .run();
+    double weight = dropped;
+    for (std::size_t p = 0; p < after.size(); ++p) {
+        weight += std::exp(after.log_weight[p]);
+        require(after.share[p] <= after.recycled[p] + 1e-9 && after.recycled[p] <= 1 + 1e-9,
+                "more was recycled than there is");
+    }
+    require(std::abs(weight - before) <= 1e-9 * (1 + before), "a map that weighs something else");
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -680,6 +721,7 @@ int main(int argc, char** argv) {
         fuzz_sensor();
         fuzz_rays();
         fuzz_road();
+        fuzz_map();
         if (!small) continue;
         std::vector<double> totals;
         std::vector<bool> used(static_cast<std::size_t>(p.width));

@@ -22,6 +22,7 @@ from pmbm.filter.hypotheses.gaussian import Innovation
 from pmbm.filter.hypotheses.weights import normalised
 from pmbm.filter.identity.recycling import ids_of_new
 from pmbm.filter.models.rays import box_rays
+from pmbm.filter.models.undetected_map import reduce_map
 from pmbm.filter.models.view import View
 from pmbm.filter.reduction import merge_mixture, pruned, reduce
 from pmbm.types import ABSENT
@@ -337,6 +338,45 @@ def test_components_are_merged_alike(monkeypatch):
         assert 30 < len(fast) < 280
         for field in ("log_weight", "mean", "cov"):
             assert getattr(fast, field).tolist() == getattr(plain, field).tolist()
+
+
+@pytest.mark.parametrize("half_angle", [np.pi, 0.9])
+@pytest.mark.parametrize("fine_above", [np.inf, 0.05, 0.0])
+@pytest.mark.parametrize("recycled", [False, True])
+def test_maps_are_settled_alike(monkeypatch, half_angle, fine_above, recycled):
+    """Components on and off the map, narrow and wide, some of them round, recycled from few."""
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        n = 200
+        root = random.normal(0, 0.5, (n, 4, 4)) * random.uniform(0.1, 12, (n, 4, 1))
+        cov = root @ root.transpose(0, 2, 1)
+        cov[: n // 4] = random.choice([1.0, 20.0], (n // 4, 1, 1)) * np.eye(4)
+        track = random.integers(ABSENT, 6, n)
+        share = np.where(track == ABSENT, 0.0, random.random(n))
+        ppp = Mixture(
+            random.normal(-4, 2, n),
+            random.uniform(-55, 55, (n, 4)) * [1, 1, 0.4, 0.4],
+            cov,
+            RecycledFrom(track, share, random.uniform(share, 1)) if recycled else None,
+        )
+        view = View(np.array([3.0, -2.0, 0.5]), 0.3, half_angle, 40.0)
+        limits = {"most": 10**6, "negligible": 0.01, "fine_above": fine_above}
+        (fast, dropped), (plain, plainly) = on_both(
+            monkeypatch, partial(reduce_map, ppp, view, 3.5, **limits)
+        )
+        assert 0 < plainly < np.exp(ppp.log_weight).sum()
+        assert dropped == pytest.approx(plainly, rel=1e-9)
+        assert len(fast) == len(plain) > 100
+        for name in ("log_weight", "mean", "cov"):
+            one, other = getattr(fast, name), getattr(plain, name)
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
+        assert (fast.recycled_from is None) == (plain.recycled_from is None) == (not recycled)
+        if fast.recycled_from is not None and plain.recycled_from is not None:
+            np.testing.assert_array_equal(fast.recycled_from.track, plain.recycled_from.track)
+            for one, other in zip(
+                fast.recycled_from.columns(), plain.recycled_from.columns(), strict=True
+            ):
+                np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("negligible", [0.0, 0.05])

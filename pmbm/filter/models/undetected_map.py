@@ -16,10 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pmbm.filter.density import Index, Mixture
+from pmbm.filter.density import Index, Mixture, MixtureColumns
 from pmbm.filter.hypotheses.gaussian import moments, symmetric
 from pmbm.filter.models.view import View
 from pmbm.geometry import points_in_polygon
+from pmbm.kernels import twin
 from pmbm.types import FloatArray, Site
 
 WIDEST = 2.0
@@ -133,15 +134,44 @@ def reduce_map(
     `fine_above` objects) become one, and so do, beyond `most` components, the lightest with their
     nearest neighbours: all of these keep mass, mean and covariance of the whole.
     """
-    total = np.exp(mixture.log_weight).sum()
+    columns, dropped = _settled(
+        mixture.columns(),
+        view.pose,
+        view.centre,
+        view.half_angle,
+        view.max_range,
+        spacing,
+        _log(negligible),
+        fine_above,
+        (WIDEST, _MARGIN, _LEFT_BY_SPLIT, _PART_SPACING, _SLOW, _ROUND, _ON_EDGE),
+    )
+    return capped(Mixture.of_columns(columns), most), dropped
+
+
+@twin("settled")
+def _settled(
+    columns: MixtureColumns,
+    pose: FloatArray,
+    centre: float,
+    half_angle: float,
+    max_range: float,
+    spacing: float,
+    log_negligible: float,
+    fine_above: float,
+    constants: tuple[float, ...],
+) -> tuple[MixtureColumns, float]:
+    """Columns of the mixture that is dropped, split and merged so, and the mass dropped.
+
+    constants : of this module, for the compiled twin.
+    """
+    mixture, view = Mixture.of_columns(columns), View(pose, centre, half_angle, max_range)
     on_map = beyond(view, mixture.mean[:, :2]) <= _MARGIN * spacing + _ON_EDGE
-    kept = mixture.take(np.flatnonzero(on_map & (mixture.log_weight > _log(negligible))))
-    dropped = total - np.exp(kept.log_weight).sum()
-    narrow = narrowed(kept)
+    stays = on_map & (mixture.log_weight > log_negligible)
+    narrow = narrowed(mixture.take(np.flatnonzero(stays)))
     # At the edge objects only come and go; what they do there later is of no use.
     inner = beyond(view, narrow.mean[:, :2]) <= -_MARGIN * spacing + _ON_EDGE
-    settled = capped(merged_by_cell(narrow, spacing, fine_above, inner), most)
-    return settled, float(dropped)
+    settled = merged_by_cell(narrow, spacing, fine_above, inner)
+    return settled.columns(), float(np.exp(mixture.log_weight[~stays]).sum())
 
 
 def narrowed(mixture: Mixture, widest: float = WIDEST) -> Mixture:
