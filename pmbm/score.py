@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -97,7 +97,11 @@ class ScoreModel:
 
     def log_likelihood_ratio(self, score: ArrayLike) -> FloatArray:
         """(N,) log p(score | object) / p(score | clutter): the log-odds less those of the base."""
-        return self._log_odds(score) - _logit(np.float64(self.base_rate))
+        return self._log_odds(score) - self._base_log_odds
+
+    @cached_property
+    def _base_log_odds(self) -> float:
+        return float(_logit(np.float64(self.base_rate)))
 
     def evidence(self, score: ArrayLike) -> FloatArray:
         """(N,) the score's own word in [0, 1], whatever the base rate: 0.5 says nothing.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pmbm import Detections
 from pmbm.filter import FixedDetection, Reduction
 from pmbm.filter.density import Locals, Marks
 from pmbm.filter.models.sensor import ObservationModel
@@ -34,12 +35,17 @@ def scan_of(position):
     position = np.asarray(position, dtype=np.float64).reshape(-1, 2)
     n = len(position)
     return Scan(
-        position=position,
-        box=np.ones((n, 5)),
-        label=np.zeros(n, np.int8),
+        Detections(
+            time=0.0,
+            position=np.column_stack([position, np.ones(n)]),
+            size=np.ones((n, 3)),
+            yaw=np.ones(n),
+            score=np.ones(n),
+            label=np.zeros(n, np.int8),
+        ),
         evidence=np.ones((n, 1)),
         birth=np.ones(1),
-        first=np.ones((n, 2)),
+        first=None,
         said=np.zeros((n, 0)),
         confidence=np.zeros(n),
     )

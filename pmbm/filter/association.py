@@ -99,8 +99,9 @@ def associate(
     else:
         undetected = updated_pairs(ppp.mean, ppp.cov, log_detected, z, radar, reduction.gate)
         log_e = log_first_detection(undetected, len(z))
-    log_birth_evidence = log_e + log_of_each(scan.first[:, 0]) + log_of_each(scan.ratio_if_first())
-    log_clutter = log_of(sensor.clutter) + log_of_each(scan.first[:, 1])
+    factors = scan.factors()
+    log_birth_evidence = log_e + log_of_each(factors[:, 0]) + log_of_each(scan.ratio_if_first())
+    log_clutter = log_of(sensor.clutter) + log_of_each(factors[:, 1])
     ratio = scan.ratio_if_known(local.marks.source, known.row, known.measurement)
     known = known.weighted(np.maximum(log_of_each(ratio), LOG_TINY))
     log_new = np.maximum(np.logaddexp(log_birth_evidence, log_clutter), LOG_TINY)

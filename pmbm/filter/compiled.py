@@ -1,29 +1,33 @@
 """One step of the filter in one compiled call.
 
-What scores, births and detection models say stays outside it: they come as columns.  The plain
-version is `step` of `pmbm.filter.tracker`, box by box.
+What scores, births and detection models say stays outside it: they come as columns and numbers.
+The plain version is `advance` of `pmbm.filter.tracker`, box by box.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from functools import lru_cache
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from pmbm.filter import estimation
+from pmbm.filter.advanced import Advanced
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Globals, Index, Locals, Marks, Mixture
+from pmbm.filter.estimation import Marginals
 from pmbm.filter.frame import Frame, split_by_view, undetected_in
 from pmbm.filter.hypotheses import branching, clusters
 from pmbm.filter.hypotheses.weights import log_of
 from pmbm.filter.identity.recycling import MOST_OF_ONE
 from pmbm.filter.models import occlusion, rays
 from pmbm.filter.models.birth import BroadBirth
+from pmbm.filter.models.detection import DetectionChain, DetectionFromScores, FixedDetection
+from pmbm.filter.models.detection_by_sensor import DetectionBySensor
+from pmbm.filter.models.protocols import Detection
 from pmbm.filter.models.sensor import LEAST_VISIBLE_TO_BE_SEEN
-from pmbm.filter.prediction import predict_marks
+from pmbm.filter.models.view import View
+from pmbm.filter.prediction import Transition
 from pmbm.filter.reduction import ALIKE, AS_HEAVY, FEW, ReductionStats, with_more_undetected
 from pmbm.types import FloatArray, Site
 
@@ -42,27 +46,42 @@ _PARTS = ("predict", "associate", "update", "reduce")
 
 def has(frame: Frame) -> bool:
     """Whether this step is compiled for a frame: its measurements are positions of one covariance,
-    with boxes and labels that count."""
-    return frame.scan.radar is None and frame.sensor.describes
+    with boxes and labels that count, and P_D is one of the models known here."""
+    return (
+        frame.scan.radar is None
+        and frame.sensor.describes
+        and all(map(_has_law, _models(frame.detection)))
+    )
 
 
 def advance(
     native: ModuleType, model: PMBMConfig, site: Site, density: Density, frame: Frame
-) -> tuple[Density, ReductionStats, Mapping[str, float]]:
-    """The density after a frame, what the reductions removed, and what each part took, s."""
-    local, scan, transition = density.local, frame.scan, frame.transition
+) -> Advanced:
+    """As `advance` of `pmbm.filter.tracker`."""
+    local, scan, limits = density.local, frame.scan, model.reduction
     partial = frame.partial and not model.birth.place_by_place
     undetected, births, dropped = _undetected(model, density.undetected, frame, partial)
     aside = None
     if partial:
         undetected, aside, denser = split_by_view(undetected, frame)
         scan = scan.with_denser_births(denser)
-    marks = predict_marks(local.marks, transition)
-    sensor = frame.sensor.over(frame.view, place_by_place=model.birth.place_by_place)
-    hides = frame.sensor.occlusion and (model.birth.place_by_place or len(local) > 0)
-    prune, merge_below = model.birth.thresholds(model.reduction.prune_undetected)
-    limits = model.reduction
-    ppp, columns, table, track_id, settled, origin, removed, pairs, seconds = native.step(
+    given, detection = scan.detections, frame.detection
+    (
+        ppp,
+        columns,
+        marks,
+        record,
+        table,
+        track_id,
+        settled,
+        of_tracks,
+        inside,
+        removed,
+        pairs,
+        seconds,
+    ) = native.step(
+        _rules(model, site, given.sensor),
+        _interval(frame.transition, detection),
         undetected.columns(),
         births,
         (
@@ -75,81 +94,34 @@ def advance(
             local.newest,
             local.shown,
             local.history,
-            marks.source,
-            frame.detection.of_tracks(marks),
+            model.scores.predicted(local.marks.source, frame.dt),
+            local.marks.confidence,
+            local.marks.detectable,
+            local.record,
         ),
         density.hypotheses.columns(),
         density.track_id,
         density.detections_seen,
         density.undetected_settled,
         (
-            np.ascontiguousarray(scan.position),
-            scan.box,
-            scan.label,
+            given.position,
+            given.size,
+            given.yaw,
+            given.label,
             scan.evidence,
             scan.birth,
             scan.first,
+            scan.said,
+            scan.confidence,
         ),
-        (
-            sensor.R,
-            sensor.clutter,
-            frame.detection.of_undetected(),
-            (frame.view.pose, frame.view.centre, frame.view.half_angle, frame.view.max_range),
-            hides,
-            sensor.undetected_in_detail,
-            *_polygons(site),
-            sensor.scaled_misses,
-            sensor.box_gain,
-        ),
-        (
-            transition.F,
-            transition.Q,
-            transition.survival,
-            limits.gate if frame.sensor.gate is None else frame.sensor.gate,
-            limits.recycle,
-            log_of(prune),
-            merge_below,
-            ALIKE,
-            AS_HEAVY,
-            estimation.ALIKE,
-            limits.max_undetected,
-            FEW,
-            MOST_OF_ONE,
-            log_of(transition.survival),
-            estimation.STAY,
-        ),
-        (
-            limits.max_hypotheses,
-            clusters.largest_table(limits.max_hypotheses),
-            branching.LARGEST_SEARCH,
-            log_of(limits.prune_hypothesis),
-            limits.recycle_below,
-            limits.max_tracks,
-            limits.clustering,
-            limits.split_below,
-            clusters.WORTH_FACTORING,
-        ),
-        _OCCLUSION,
-        occlusion.NODES,
-        rays.COS,
-        rays.SIN,
+        frame.view.pose,
+        frame.region.pose,
+        detection.looking if isinstance(detection, DetectionBySensor) else 0,
+        detection.of_undetected(),
     )
-    track, existence, mean_of, cov_of, box, label, newest, shown, history, source = columns
     after = Density(
         Mixture.of_columns(ppp),
-        Locals(
-            track,
-            existence,
-            mean_of,
-            cov_of,
-            box,
-            label,
-            newest,
-            shown,
-            history,
-            _marks_after(marks, frame, source, *origin),
-            _record_after(local.record, frame, *origin[:4]),
-        ),
+        Locals(*(*columns, Marks(*marks), record)),
         Globals(*table),
         track_id,
         density.detections_seen + len(scan),
@@ -157,12 +129,9 @@ def advance(
     )
     if aside is not None:
         after = with_more_undetected(after, aside, limits, model.birth)
-    counts = replace(
-        ReductionStats(*removed),
-        undetected_dropped=dropped,
-        pairs_gated=len(local) * len(scan) - pairs,
-    )
-    return after, counts, dict(zip(_PARTS, seconds, strict=True))
+    counts = (*removed, dropped, len(local) * len(scan) - pairs)
+    seconds_of = dict(zip(_PARTS, seconds, strict=True))
+    return Advanced(after, Marginals(*of_tracks), inside, ReductionStats(*counts), seconds_of)
 
 
 def _undetected(
@@ -180,55 +149,105 @@ def _undetected(
     return predicted, (), dropped
 
 
-def _marks_after(
-    before: Marks,
-    frame: Frame,
-    source: FloatArray,
-    missed: int,
-    detected: int,
-    row: Index,
-    measurement: Index,
-    P_D: FloatArray,
-) -> Marks:
-    """Marks of local hypotheses: first those missed, then those detected, then new ones.
+_MADE: dict[tuple[int, int, str], tuple[PMBMConfig, Site, tuple[Any, ...]]] = {}
+"""Rules that were made, by what of; that is kept beside them, so that its id names it alone."""
+_MOST_MADE = 64
 
-    source (n,K) : P(class) of each, after the scan.  row (missed + detected,) : of `before`.
-    measurement (detected + new,).  P_D (missed,) : of those missed.
+
+def _rules(model: PMBMConfig, site: Site, name: str) -> tuple[Any, ...]:
+    """What the kernel needs of the model and the sensor of that name, the same in every step.
+
+    Made once: by identity, since to compare two models, or hash one, takes longer than a step.
     """
-    detection, known = frame.detection, missed + detected
-    taken = frame.scan.confidence.take(measurement)
-    confidence, detectable = before.confidence.take(row, 0), before.detectable.take(row, 0)
-    parts = (
-        detection.if_missed(Marks(source[:missed], confidence[:missed], detectable[:missed]), P_D),
-        detection.if_detected(
-            Marks(source[missed:known], confidence[missed:], detectable[missed:]),
-            taken[:detected],
-        ),
-        detection.first(source[known:], taken[detected:]),
+    key = id(model), id(site), name
+    if key not in _MADE:
+        if len(_MADE) >= _MOST_MADE:
+            _MADE.clear()
+        _MADE[key] = model, site, _make_rules(model, site, name)
+    return _MADE[key][2]
+
+
+def _make_rules(model: PMBMConfig, site: Site, name: str) -> tuple[Any, ...]:
+    sensor, limits = model.sensor_named(name), model.reduction
+    view = View.of(site.sensor(name) or site, np.zeros(3))
+    observed = sensor.over(view, place_by_place=model.birth.place_by_place)
+    prune, merge_below = model.birth.thresholds(limits.prune_undetected)
+    return (
+        observed.R,
+        observed.clutter,
+        *(view.centre, view.half_angle, view.max_range),
+        *(site.fov_centre, site.fov_half_angle, site.max_range),
+        sensor.occlusion,
+        observed.undetected_in_detail,
+        *_polygons(site),
+        observed.scaled_misses,
+        observed.box_gain,
+        limits.gate if sensor.gate is None else sensor.gate,
+        limits.recycle,
+        log_of(prune),
+        merge_below,
+        ALIKE,
+        AS_HEAVY,
+        estimation.ALIKE,
+        limits.max_undetected,
+        FEW,
+        MOST_OF_ONE,
+        estimation.STAY,
+        limits.max_hypotheses,
+        clusters.largest_table(limits.max_hypotheses),
+        branching.LARGEST_SEARCH,
+        log_of(limits.prune_hypothesis),
+        limits.recycle_below,
+        limits.max_tracks,
+        limits.clustering,
+        limits.split_below,
+        clusters.WORTH_FACTORING,
+        _OCCLUSION,
+        occlusion.NODES,
+        rays.COS,
+        rays.SIN,
     )
-    return Marks(
-        source,
-        np.concatenate([part.confidence for part in parts]),
-        np.concatenate([part.detectable for part in parts]),
-    )
 
 
-def _record_after(
-    before: FloatArray, frame: Frame, missed: int, detected: int, row: Index, measurement: Index
-) -> FloatArray:
-    """Running sums (n,R) of what detections said, in the order of `_marks_after`."""
-    if not before.shape[1]:
-        # No record is kept: the usual case, in every step.
-        return np.zeros((len(row) + len(measurement) - detected, 0))
-    transition, said = frame.transition, frame.scan.said.take(measurement, axis=0)
-    known = (before * transition.scores.fade(transition.dt)).take(row, axis=0)
-    return np.concatenate([known[:missed], known[missed:] + said[:detected], said[detected:]])
-
-
-@lru_cache(maxsize=8)
 def _polygons(site: Site) -> tuple[Index, FloatArray]:
     """The site's occluders: where each begins among the corners (V,2) of all."""
     start = np.zeros(len(site.occluders) + 1, np.intp)
     np.cumsum([len(one) for one in site.occluders], out=start[1:])
     corners = np.concatenate([np.zeros((0, 2)), *site.occluders])
     return start, corners
+
+
+def _interval(transition: Transition, detection: Detection) -> tuple[Any, ...]:
+    """What became of objects, and of what is remembered of them, since the frame before."""
+    return (
+        transition.F,
+        transition.Q,
+        transition.scores.fade(transition.dt),
+        transition.survival,
+        log_of(transition.survival),
+        tuple(_law(model, transition.dt) for model in _models(detection)),
+    )
+
+
+def _models(detection: Detection) -> tuple[Detection, ...]:
+    """Those of each sensor."""
+    return detection.models if isinstance(detection, DetectionBySensor) else (detection,)
+
+
+def _law(model: Detection, dt: float) -> tuple[float, ...]:
+    """A model of P_D in the numbers of the kernel's `DetectionLaw`."""
+    match model:
+        case DetectionChain():
+            stay = model.stay_detectable + model.stay_undetectable - 1
+            lasting = model.undetectable, model.stationary, stay ** (dt / model.interval)
+            return _law(model.base, dt)[:4] + lasting
+        case DetectionFromScores():
+            return model.low, model.high, model.rising, model.newest, 0.0, 1.0, 1.0
+        case FixedDetection():
+            return model.probability, model.probability, False, 0.0, 0.0, 1.0, 1.0
+    raise TypeError(f"{type(model).__name__} is not compiled")
+
+
+def _has_law(model: Detection) -> bool:
+    own = model.base if type(model) is DetectionChain else model
+    return type(own) in (FixedDetection, DetectionFromScores)

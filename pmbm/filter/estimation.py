@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pmbm.filter.density import Density, Index, Locals, probability_of_members, summed
@@ -140,6 +142,85 @@ def _by_class(track: Index, source: FloatArray, mass: FloatArray, tracks: int) -
     cell = track[:, None] * classes + np.arange(classes)
     of_class = summed((mass[:, None] * source).ravel(), cell.ravel(), tracks * classes)
     return of_class.reshape(tracks, classes)
+
+
+class ReportedColumns(NamedTuple):
+    """Columns of `pmbm.types.Tracks`, of the tracks that are reported."""
+
+    position: FloatArray
+    size: FloatArray
+    yaw: FloatArray
+    velocity: FloatArray
+    score: FloatArray
+    label: NDArray[np.int8]
+    covariance: FloatArray
+
+
+def reported_in(
+    density: Density,
+    best: Index,
+    exists: FloatArray,
+    inside: FloatArray,
+    label: NDArray[np.int8],
+    *,
+    above: float,
+    exclusive: bool,
+) -> tuple[Index, ReportedColumns]:
+    """The tracks that are reported, and how: those that are objects with a probability (T,) above
+    `above` and probably inside the view, as `best` (T,) has them.
+
+    label (H,) : of local hypotheses.
+    exclusive : whether of two at one place one is held back.  What is known for longer has the
+        priority, if it is there more probably than not.
+    """
+    local = density.local
+    rows, columns = _reported(
+        density.track_id,
+        best,
+        exists,
+        inside,
+        local.mean,
+        local.cov,
+        local.box,
+        label,
+        above,
+        exclusive,
+        _WHOLE,
+    )
+    return rows, ReportedColumns(*columns)
+
+
+@twin("reported")
+def _reported(
+    track_id: IntArray,
+    best: Index,
+    exists: FloatArray,
+    inside: FloatArray,
+    mean: FloatArray,
+    cov: FloatArray,
+    box: FloatArray,
+    label: NDArray[np.int8],
+    above: float,
+    exclusive: bool,
+    whole: float,
+) -> tuple[Index, tuple[Any, ...]]:
+    rows = np.flatnonzero((exists > above) & (inside > 0.5))
+    if exclusive and len(rows) > 1:
+        doubtful, at = exists[rows] <= 0.5, best[rows]
+        order = np.lexsort((track_id[rows], doubtful))
+        sure = len(order) - int(np.count_nonzero(doubtful))
+        rows = rows[_suppress_overlaps(mean[at, :2], box[at], order, sure, whole)]
+    at = best[rows]
+    state, outline = mean[at], box[at]
+    return rows, (
+        np.column_stack([state[:, :2], outline[:, 0]]),
+        outline[:, 1:4].copy(),
+        outline[:, 4].copy(),
+        state[:, 2:4].copy(),
+        exists[rows],
+        label[at],
+        cov[at],
+    )
 
 
 def suppress_overlaps(position: FloatArray, box: FloatArray, order: Index, sure: int) -> Index:

@@ -53,10 +53,10 @@ class Frame:
     def partial(self) -> bool:
         """Whether the sensor looks at a part alone of where objects are followed."""
         view, region = self.view, self.region
+        if view is region:
+            return False
         offset = math.hypot(*(view.pose[:2] - region.pose[:2]))
-        return view is not region and (
-            view.half_angle < math.pi or view.max_range + offset < region.max_range - 1e-6
-        )
+        return view.half_angle < math.pi or view.max_range + offset < region.max_range - 1e-6
 
 
 def form_frame(
@@ -84,7 +84,7 @@ def form_frame(
         )
     dt = 0.0 if last is None else detections.time - last
     pose, mounted = detections.sensor_pose, site.sensor(detections.sensor)
-    region = View.of(site, site.carrier_pose(detections))
+    region = View.of(site, pose if mounted is None else mounted.carrier_of(pose))
     sensor = model.sensor_named(detections.sensor)
     detection = sensor.detection
     if mounted is not None and len(site.sensors) > 1:
@@ -129,7 +129,7 @@ def _read(
             scored = replace(scored, evidence=evidence, first=own.first)
     given = scored.detections
     if sensor.radial_velocity_sd is not None and given.radial_velocity is not None:
-        first = scored.first.copy()
+        first = np.ones((len(given), 2)) if scored.first is None else scored.first.copy()
         first[:, 1] *= np.exp(log_clutter_velocity(sensor, given))
         scored = replace(scored, first=first)
     return scored

@@ -9,34 +9,48 @@ from numpy.typing import NDArray
 
 from pmbm.filter.models.radar import RadarScan
 from pmbm.filter.models.scores import ScoredDetections
-from pmbm.types import FloatArray
+from pmbm.types import Detections, FloatArray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scan:
     """The measurements of one frame, M rows.
 
-    position (M,2); box (M,5) : z, length, width, height, yaw; label (M,) int8.
+    detections : where they are, and their boxes and labels.
     evidence (M,K) : p(score, label | class) / p(score, label | clutter) for the K classes of
         sources that scores tell apart; K = 1 where they tell none apart.
     birth (K,), (M,K) : shares of the classes among objects detected for the first time, the same
         anywhere or by what may be where each measurement is.
     first (M,2) : factors on the density of first detections and on that of clutter, for the rule
-        that lets a score speak there alone.
+        that lets a score speak there alone; None, none.
     said (M,R) : what each detection adds to its source's record.
     confidence (M,) : in [0, 1], what a track may remember of its detections.
     radar : what is particular to a radar's measurements, or None.
     """
 
-    position: FloatArray
-    box: FloatArray
-    label: NDArray[np.int8]
+    detections: Detections
     evidence: FloatArray
     birth: FloatArray
-    first: FloatArray
+    first: FloatArray | None
     said: FloatArray
     confidence: FloatArray
     radar: RadarScan | None = None
+
+    @property
+    def position(self) -> FloatArray:
+        """(M,2)"""
+        return self.detections.position[:, :2]
+
+    @property
+    def box(self) -> FloatArray:
+        """(M,5) z, length, width, height, yaw."""
+        given = self.detections
+        return np.column_stack([given.position[:, 2], given.size, given.yaw])
+
+    @property
+    def label(self) -> NDArray[np.int8]:
+        """(M,)"""
+        return self.detections.label
 
     def ratio_if_first(self) -> FloatArray:
         """(M,) likelihood ratio, object against clutter, if each is a first detection."""
@@ -64,25 +78,24 @@ class Scan:
 
     def with_denser_births(self, factor: FloatArray) -> Scan:
         """With the densities of first detections multiplied by these factors (M,)."""
-        return replace(self, first=self.first * np.stack([factor, np.ones(len(factor))], axis=1))
+        return replace(
+            self, first=self.factors() * np.stack([factor, np.ones(len(factor))], axis=1)
+        )
+
+    def factors(self) -> FloatArray:
+        """`first` (M,2), of ones where there are none."""
+        return np.ones((len(self), 2)) if self.first is None else self.first
 
     def __len__(self) -> int:
-        return len(self.position)
+        return len(self.detections)
 
     @staticmethod
     def of(
         scored: ScoredDetections, confidence: FloatArray, radar: RadarScan | None = None
     ) -> Scan:
         """The boxes of a frame, with what their scores say."""
-        detections = scored.detections
-        box = np.empty((len(detections), 5))
-        box[:, 0] = detections.position[:, 2]
-        box[:, 1:4] = detections.size
-        box[:, 4] = detections.yaw
         return Scan(
-            detections.position[:, :2],
-            box,
-            detections.label,
+            scored.detections,
             scored.evidence,
             scored.birth,
             scored.first,

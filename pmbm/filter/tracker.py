@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
 from pmbm import kernels
 from pmbm.errors import InputError
 from pmbm.filter import compiled
+from pmbm.filter.advanced import Advanced
 from pmbm.filter.association import associate
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
-from pmbm.filter.estimation import Marginals, in_view, marginals, suppress_overlaps
+from pmbm.filter.estimation import Marginals, in_view, marginals, reported_in
 from pmbm.filter.explain.inspection import Inspection, inspect
 from pmbm.filter.frame import Frame, form_frame, split_by_view, undetected_in
 from pmbm.filter.identity.inheritance import IdInheritance
@@ -104,20 +103,15 @@ def step(
         scene=state.before[0] if detections.time == state.time else state.scene,
     )
     if kernels.native is None or not compiled.has(frame):
-        density, removed, seconds = advance(model, site, state.density, frame)
+        advanced = advance(model, site, state.density, frame)
     else:
-        density, removed, seconds = compiled.advance(
-            kernels.native, model, site, state.density, frame
-        )
-    after, tracks = report(model, state, frame, density)
-    return after, tracks, Trace(state.density, frame, removed, seconds)
+        advanced = compiled.advance(kernels.native, model, site, state.density, frame)
+    after, tracks = report(model, state, frame, advanced)
+    return after, tracks, Trace(state.density, frame, advanced.removed, advanced.seconds)
 
 
-def advance(
-    model: PMBMConfig, site: Site, density: Density, frame: Frame
-) -> tuple[Density, ReductionStats, Mapping[str, float]]:
-    """The density after a frame, by the four boxes of Fig. 2; what the reductions removed; and how
-    long each box took, s."""
+def advance(model: PMBMConfig, site: Site, density: Density, frame: Frame) -> Advanced:
+    """The density after a frame, by the four boxes of Fig. 2."""
     clock = _Clock()
     predicted, dropped = predicted_in(model, density, frame)
     scan, limits, aside = frame.scan, model.reduction, None
@@ -135,6 +129,8 @@ def advance(
     reduced, removed = reduce(updated, limits, model.birth)
     if aside is not None:
         reduced = with_more_undetected(reduced, aside, limits, model.birth)
+    marginal, inside = in_view(reduced, frame.region)
+    shown = replace(reduced.local, shown=marginal.shown_as(reduced.local))
     clock.read("reduce")
     removed = replace(
         removed,
@@ -142,7 +138,7 @@ def advance(
         undetected_dropped=dropped,
         pairs_gated=len(predicted.local) * len(frame.scan) - len(association.known.row),
     )
-    return reduced, removed, clock.seconds
+    return Advanced(replace(reduced, local=shown), marginal, inside, removed, clock.seconds)
 
 
 def predicted_in(model: PMBMConfig, density: Density, frame: Frame) -> tuple[Density, float]:
@@ -162,35 +158,30 @@ def observe(model: PMBMConfig, site: Site, frame: Frame, predicted: Density) -> 
     return replace(sensor, shadows=Shadows.of(predicted, frame.view.pose, site.occluders))
 
 
-def report(model: PMBMConfig, state: State, frame: Frame, density: Density) -> tuple[State, Tracks]:
+def report(
+    model: PMBMConfig, state: State, frame: Frame, advanced: Advanced
+) -> tuple[State, Tracks]:
     """The state after the frame, and the tracks that probably exist and are probably in view.  One
     that has left the view is kept in mind, and reported again where it comes back."""
-    marginal, inside = in_view(density, frame.region)
+    density, marginal, inside = advanced.density, advanced.marginal, advanced.inside
     before = state.before if frame.time == state.time else (state.scene, frame.dt)
     scene = model.scores.observed(before[0], marginal, inside, before[1])
     exists = objects(model, scene, marginal, density, frame.region)
-    reported = np.flatnonzero((exists > model.report.above) & (inside > 0.5))
-    if model.report.exclusive and len(reported) > 1:
-        # What is known for longer has the priority, if it is there more probably than not.
-        doubtful, best = exists[reported] <= 0.5, marginal.best[reported]
-        order = np.lexsort((density.track_id[reported], doubtful))
-        sure = len(order) - int(np.count_nonzero(doubtful))
-        position = np.ascontiguousarray(density.local.mean[best, :2])
-        reported = reported[suppress_overlaps(position, density.local.box[best], order, sure)]
-    local = density.local.take(marginal.best[reported])
-    density = replace(density, local=replace(density.local, shown=marginal.shown_as(density.local)))
+    reported, columns = reported_in(
+        density,
+        marginal.best,
+        exists,
+        inside,
+        model.scores.labels(density.local),
+        above=model.report.above,
+        exclusive=model.report.exclusive,
+    )
     ids, density = state.ids.after(density, marginal, exists, reported)
     tracks = unchecked(
         Tracks,
         time=frame.time,
         id=density.track_id[reported],
-        position=np.concatenate([local.mean[:, :2], local.box[:, :1]], axis=1),
-        size=local.box[:, 1:4].copy(),
-        yaw=local.box[:, 4].copy(),
-        velocity=local.mean[:, 2:4].copy(),
-        score=exists[reported],
-        label=model.scores.labels(local),
-        covariance=local.cov,
+        **columns._asdict(),
         undetected=density.undetected.public(),
     )
     return State(frame.time, density, frame.births_memory, scene, ids, before), tracks

@@ -2,18 +2,21 @@
 // pmbm/assignment and pmbm/filter, have checked what comes in.
 #include <nanobind/nanobind.h>
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
+#include <limits>
 #include <utility>
 #include <vector>
 
 #include "k_best.hpp"
 #include "arrays.hpp"
 #include "branch.hpp"
-#include "overlaps.hpp"
 #include "gate.hpp"
 #include "merge.hpp"
 #include "rays.hpp"
 #include "reduce.hpp"
+#include "report.hpp"
 #include "road.hpp"
 #include "sensor.hpp"
 #include "step.hpp"
@@ -153,6 +156,63 @@ Output<std::int64_t> suppress_overlaps(Table<double> position, Table<double> box
                                        double larger) {
     return hand_over(
         pmbm::suppress_overlaps(position.data(), box.data(), order.data(), order.size(), sure, larger));
+}
+
+// Returns the rows of the tracks, and the columns of `ReportedColumns`.
+nb::tuple reported(Input<std::int64_t> track_id, Input<std::int64_t> best, Input<double> exists,
+                   Input<double> inside, Table<double> mean, Table<double> cov, Table<double> box,
+                   Input<std::int8_t> label, double above, bool exclusive, double whole) {
+    auto rows = pmbm::reported(
+        {track_id.data(), best.data(), exists.data(), inside.data(), exists.size()}, mean.data(),
+        box.data(), above, exclusive, whole);
+    const auto n = rows.size();
+    std::vector<double> position, size, yaw, velocity, score, covariance;
+    std::vector<std::int8_t> labels;
+    for (auto* column : {&position, &size}) column->reserve(3 * n);
+    for (auto* column : {&yaw, &score}) column->reserve(n);
+    velocity.reserve(2 * n);
+    covariance.reserve(16 * n);
+    for (const auto row : rows) {
+        const auto at = best.data()[row];
+        const double *state = mean.data() + 4 * at, *outline = box.data() + 5 * at,
+                     *spread = cov.data() + 16 * at;
+        position.insert(position.end(), {state[0], state[1], outline[0]});
+        size.insert(size.end(), outline + 1, outline + 4);
+        yaw.push_back(outline[4]);
+        velocity.insert(velocity.end(), state + 2, state + 4);
+        score.push_back(exists.data()[row]);
+        labels.push_back(label.data()[at]);
+        covariance.insert(covariance.end(), spread, spread + 16);
+    }
+    return nb::make_tuple(
+        hand_over(std::move(rows)),
+        nb::make_tuple(rows_of<3>(std::move(position)), rows_of<3>(std::move(size)),
+                       hand_over(std::move(yaw)), rows_of<2>(std::move(velocity)),
+                       hand_over(std::move(score)), hand_over(std::move(labels)),
+                       matrices_of<4>(std::move(covariance))));
+}
+
+Output<double> level_evidence(Input<double> log_odds, Input<double> level, double scatter,
+                              Input<double> share, bool worth_their_odds) {
+    const auto M = log_odds.size(), L = level.size();
+    std::vector<double> height(M * L);
+    for (std::size_t j = 0; j < M; ++j) {
+        const double told = log_odds.data()[j];
+        double nearest = std::numeric_limits<double>::infinity(), mean = 0;
+        double* row = height.data() + L * j;
+        for (std::size_t k = 0; k < L; ++k) {
+            const double apart = (told - level.data()[k]) / scatter;
+            row[k] = apart * apart;
+            nearest = std::min(nearest, row[k]);
+        }
+        for (std::size_t k = 0; k < L; ++k) {
+            row[k] = std::exp(0.5 * (nearest - row[k]));
+            mean += row[k] * share.data()[k];
+        }
+        const double worth = (worth_their_odds ? std::exp(told) : 1.0) / std::max(mean, 1e-6);
+        for (std::size_t k = 0; k < L; ++k) row[k] *= worth;
+    }
+    return array_of(std::move(height), {M, L});
 }
 
 Output<double> detectable_if_missed(Input<double> detectable, Input<double> P_D,
@@ -368,116 +428,259 @@ nb::tuple settled(nb::tuple ppp, Input<double> pose, double centre, double half_
     return nb::make_tuple(hand_over(std::move(settled)), dropped);
 }
 
-// One step of the filter; pmbm/filter/compiled.py says what goes in and what comes out.
-nb::tuple step(nb::tuple ppp, nb::tuple births, nb::tuple local, nb::tuple table, Input<std::int64_t> track_id,
-               std::int64_t detections_seen, std::int64_t settled, nb::tuple scan,
-               nb::tuple sensor, nb::tuple rules, nb::tuple reduction, nb::tuple constants,
-               Table<double> nodes, Input<double> cos, Input<double> sin) {
-    const MixtureColumns mixture(ppp);
-    Input<double> born;
-    Table<double> born_mean, born_cov;
-    pmbm::BirthsView births_view{};
-    const bool comes_predicted = births.size() == 0;
-    if (!comes_predicted) {
-        born = nb::cast<Input<double>>(births[0]);
-        born_mean = nb::cast<Table<double>>(births[1]);
-        born_cov = nb::cast<Table<double>>(births[2]);
-        births_view = {born.data(), born_mean.data(), born_cov.data(), born.size(),
-                       nb::cast<bool>(births[3])};
-    }
-    const auto track = nb::cast<Input<std::int64_t>>(local[0]);
-    const auto existence = nb::cast<Input<double>>(local[1]);
-    const auto mean = nb::cast<Table<double>>(local[2]);
-    const auto cov = nb::cast<Table<double>>(local[3]);
-    const auto box = nb::cast<Table<double>>(local[4]);
-    const auto label = nb::cast<Input<std::int8_t>>(local[5]);
-    const auto newest = nb::cast<Input<std::int64_t>>(local[6]);
-    const auto shown = nb::cast<Input<bool>>(local[7]);
-    const auto history = nb::cast<Table<std::int32_t>>(local[8]);
-    const auto source = nb::cast<Table<double>>(local[9]);
-    const auto detection = nb::cast<Input<double>>(local[10]);
-    const auto length = history.shape(1);
+// The values of a tuple, one after another.
+class Values {
+ public:
+    explicit Values(nb::handle tuple) : tuple_(nb::borrow<nb::tuple>(tuple)) {}
 
+    nb::handle any() { return nb::handle(PyTuple_GET_ITEM(tuple_.ptr(), at_++)); }
+    template <typename T>
+    T next() {
+        return nb::cast<T>(any());
+    }
+    double number() { return next<double>(); }
+    std::int64_t whole() { return next<std::int64_t>(); }
+    bool flag() { return next<bool>(); }
+    Input<double> numbers() { return next<Input<double>>(); }
+    Input<std::int64_t> wholes() { return next<Input<std::int64_t>>(); }
+    bool left() const { return at_ < PyTuple_GET_SIZE(tuple_.ptr()); }
+
+ private:
+    nb::tuple tuple_;
+    Py_ssize_t at_ = 0;
+};
+
+// What does not change from step to step, in the order of _rules() of compiled.py.
+struct Rules {
+    Input<double> R, corner, nodes, cos, sin;
+    Input<std::int64_t> corner_start;
+    pmbm::SensorRules sensor{};
+    pmbm::StepRules step{};
+    pmbm::OcclusionRules occlusion{};
+
+    explicit Rules(nb::handle tuple) {
+        Values in(tuple);
+        R = in.numbers();
+        sensor.R = R.data();
+        sensor.clutter = in.number();
+        sensor.view = sector(in);
+        sensor.region = sector(in);
+        sensor.occlusion = in.flag();
+        sensor.undetected_in_detail = in.flag();
+        corner_start = in.wholes();
+        corner = in.numbers();
+        sensor.occluders = {corner_start.data(), corner.data(), corner_start.size() - 1};
+        sensor.scaled_misses = in.flag();
+        sensor.box_gain = in.number();
+        step.gate = in.number();
+        step.recycle = in.flag();
+        step.log_prune_undetected = in.number();
+        step.merge_below = in.number();
+        step.alike = in.number();
+        step.as_heavy = in.number();
+        step.as_likely = in.number();
+        step.max_undetected = in.whole();
+        step.few = in.whole();
+        step.most_of_one = in.number();
+        step.stay = in.number();
+        const auto max_hypotheses = in.whole();
+        const auto largest_table = in.number();
+        const auto largest_search = in.whole();
+        const auto log_prune = in.number();
+        const auto recycle_below = in.number();
+        const auto max_tracks = in.whole();
+        const auto clustering = in.flag();
+        const auto split_below = in.number();
+        const auto worth_factoring = in.whole();
+        step.branching = {max_hypotheses, largest_table, largest_search,
+                          -log_prune,     log_prune,     clustering};
+        step.reduction = {log_prune,  max_hypotheses, largest_table, recycle_below,
+                          max_tracks, clustering,     split_below,   worth_factoring};
+        const auto constants = in.next<nb::tuple>();
+        nodes = in.numbers();
+        cos = in.numbers();
+        sin = in.numbers();
+        occlusion = occlusion_rules(constants, nodes, cos, sin);
+    }
+
+ private:
+    static pmbm::View sector(Values& in) {
+        const auto centre = in.number(), half_angle = in.number(), max_range = in.number();
+        return {nullptr, centre, half_angle, max_range};
+    }
+};
+
+// How objects moved and lived on over one interval, and what became of what is remembered of them.
+struct Interval {
+    Input<double> F, Q, fade;
+    double survival, log_survival;
+    std::vector<pmbm::DetectionLaw> laws;
+
+    explicit Interval(nb::handle tuple) {
+        Values in(tuple);
+        F = in.numbers();
+        Q = in.numbers();
+        fade = in.numbers();
+        survival = in.number();
+        log_survival = in.number();
+        Values each(in.any());
+        while (each.left()) {
+            Values law(each.any());
+            const auto low = law.number(), high = law.number();
+            const bool rising = law.flag();
+            const auto newest = law.number(), undetectable = law.number(), usual = law.number(),
+                       memory = law.number();
+            laws.push_back({low, high, rising, newest, undetectable, usual, memory});
+        }
+    }
+};
+
+struct BirthsColumns {
+    Input<double> log_weight;
+    Table<double> mean, cov;
+    bool given = false, in_place = false;
+
+    explicit BirthsColumns(nb::handle tuple) {
+        Values in(tuple);
+        if (!in.left()) return;
+        given = true;
+        log_weight = in.numbers();
+        mean = in.numbers();
+        cov = in.numbers();
+        in_place = in.flag();
+    }
+
+    pmbm::BirthsView view() const {
+        return {log_weight.data(), mean.data(), cov.data(), log_weight.size(), in_place};
+    }
+};
+
+struct LocalsColumns {
+    Input<std::int64_t> track, newest;
+    Input<double> existence, mean, cov, box, source, confidence, detectable, record;
+    Input<std::int8_t> label;
+    Input<bool> shown;
+    Input<std::int32_t> history;
+
+    explicit LocalsColumns(nb::handle tuple) {
+        Values in(tuple);
+        track = in.wholes();
+        existence = in.numbers();
+        mean = in.numbers();
+        cov = in.numbers();
+        box = in.numbers();
+        label = in.next<Input<std::int8_t>>();
+        newest = in.wholes();
+        shown = in.next<Input<bool>>();
+        history = in.next<Input<std::int32_t>>();
+        source = in.numbers();
+        confidence = in.numbers();
+        detectable = in.numbers();
+        record = in.numbers();
+    }
+
+    pmbm::LocalsView view() const {
+        return {track.data(),      existence.data(),  mean.data(),       cov.data(),
+                box.data(),        label.data(),      newest.data(),     shown.data(),
+                history.data(),    source.data(),     confidence.data(), detectable.data(),
+                record.data(),     existence.size(),  history.shape(1),  source.shape(1),
+                record.shape(1)};
+    }
+};
+
+// What one frame measured.
+struct ScanColumns {
+    Input<double> evidence, birth, first, said, confidence;
+    Input<std::int8_t> label;
+    std::vector<double> position, box;
+
+    explicit ScanColumns(nb::handle tuple) {
+        Values in(tuple);
+        const auto place = in.numbers(), size = in.numbers(), yaw = in.numbers();
+        label = in.next<Input<std::int8_t>>();
+        evidence = in.numbers();
+        birth = in.numbers();
+        const auto factors = in.any();
+        if (!factors.is_none()) first = nb::cast<Input<double>>(factors);
+        said = in.numbers();
+        confidence = in.numbers();
+        for (std::size_t j = 0; j < yaw.size(); ++j) {
+            const double *at = place.data() + 3 * j, *extent = size.data() + 3 * j;
+            position.insert(position.end(), {at[0], at[1]});
+            box.insert(box.end(), {at[2], extent[0], extent[1], extent[2], yaw.data()[j]});
+        }
+    }
+
+    pmbm::ScanView view() const {
+        return {position.data(), box.data(),  label.data(),      evidence.data(),
+                birth.data(),    first.data(), said.data(),      confidence.data(),
+                label.size(),    birth.ndim() == 2};
+    }
+};
+
+// One step of the filter; pmbm/filter/compiled.py says what goes in and what comes out.
+nb::tuple step(nb::handle rules, nb::handle interval, nb::tuple ppp, nb::handle births,
+               nb::handle local, nb::tuple table, Input<std::int64_t> track_id,
+               std::int64_t detections_seen, std::int64_t settled, nb::handle scan,
+               Input<double> pose, Input<double> region, std::size_t looking,
+               double detection_undetected) {
+    Rules how(rules);
+    const Interval since(interval);
+    const MixtureColumns mixture(ppp);
+    const BirthsColumns born(births);
+    const auto births_view = born.view();
+    const LocalsColumns known(local);
+    const ScanColumns seen(scan);
     const auto cluster = nb::cast<Input<std::int64_t>>(table[0]);
     const auto log_weight = nb::cast<Input<double>>(table[1]);
     const auto start = nb::cast<Input<std::int64_t>>(table[2]);
     const auto member = nb::cast<Input<std::int64_t>>(table[3]);
 
-    const auto position = nb::cast<Table<double>>(scan[0]);
-    const auto scan_box = nb::cast<Table<double>>(scan[1]);
-    const auto scan_label = nb::cast<Input<std::int8_t>>(scan[2]);
-    const auto evidence = nb::cast<Table<double>>(scan[3]);
-    const auto birth = nb::cast<Table<double>>(scan[4]);
-    const auto first = nb::cast<Table<double>>(scan[5]);
-
-    const auto R = nb::cast<Table<double>>(sensor[0]);
-    const bool everywhere = sensor[3].is_none();
-    Input<double> pose;
-    double looks[3] = {0, 0, 0};
-    if (!everywhere) {
-        const auto view = nb::cast<nb::tuple>(sensor[3]);
-        pose = nb::cast<Input<double>>(view[0]);
-        for (int i = 0; i < 3; ++i) looks[i] = nb::cast<double>(view[i + 1]);
-    }
-    const auto corner_start = nb::cast<Input<std::int64_t>>(sensor[6]);
-    const auto corner = nb::cast<Table<double>>(sensor[7]);
-    const pmbm::SensorRules sees{
-        R.data(), nb::cast<double>(sensor[1]), nb::cast<double>(sensor[2]), everywhere,
-        {everywhere ? nullptr : pose.data(), looks[0], looks[1], looks[2]},
-        nb::cast<bool>(sensor[4]), nb::cast<bool>(sensor[5]),
-        {corner_start.data(), corner.data(), corner_start.size() - 1},
-        nb::cast<bool>(sensor[8]), nb::cast<double>(sensor[9])};
-
-    const auto F = nb::cast<Table<double>>(rules[0]);
-    const auto Q = nb::cast<Table<double>>(rules[1]);
-    const auto whole = [&](const nb::tuple& from, int i) {
-        return nb::cast<std::int64_t>(from[i]);
-    };
-    const auto number = [&](const nb::tuple& from, int i) { return nb::cast<double>(from[i]); };
-    // max_hypotheses, largest_table, largest_search, log_prune, recycle_below, max_tracks,
-    // clustering, split_below, worth_factoring
-    const bool clustering = nb::cast<bool>(reduction[6]);
-    const double log_prune = number(reduction, 3), largest = number(reduction, 1);
-    const pmbm::StepRules how{
-        F.data(), Q.data(), number(rules, 2), number(rules, 13), number(rules, 3),
-        {whole(reduction, 0), largest, whole(reduction, 2), -log_prune, log_prune, clustering},
-        {log_prune, whole(reduction, 0), largest, number(reduction, 4), whole(reduction, 5),
-         clustering, number(reduction, 7), whole(reduction, 8)},
-        nb::cast<bool>(rules[4]), number(rules, 5), number(rules, 6), number(rules, 7),
-        number(rules, 8), number(rules, 9), number(rules, 14), whole(rules, 10), whole(rules, 11),
-        number(rules, 12)};
-    const auto occlusion = occlusion_rules(constants, nodes, cos, sin);
+    how.sensor.view.pose = pose.data();
+    how.sensor.region.pose = region.data();
+    how.sensor.laws = since.laws.data();
+    how.sensor.sensors = since.laws.size();
+    how.sensor.looking = looking;
+    how.sensor.detection_undetected = detection_undetected;
+    how.step.F = since.F.data();
+    how.step.Q = since.Q.data();
+    how.step.fade = since.fade.data();
+    how.step.survival = since.survival;
+    how.step.log_survival = since.log_survival;
 
     pmbm::Step out;
     {
         nb::gil_scoped_release released;
-        pmbm::Stepper stepper(
-            mixture.view(), comes_predicted ? nullptr : &births_view,
-            {track.data(), existence.data(), mean.data(), cov.data(), box.data(), label.data(),
-             newest.data(), shown.data(), history.data(), source.data(), detection.data(), existence.size(), length,
-             source.shape(1)},
-            {cluster.data(), start.data(), member.data(), log_weight.data(),
-             static_cast<std::int64_t>(cluster.size())},
-            track_id.data(), track_id.size(), detections_seen, settled,
-            {position.data(), scan_box.data(), scan_label.data(), evidence.data(), birth.data(),
-             first.data(), scan_label.size(), birth.ndim() == 2},
-            sees, how, occlusion);
+        pmbm::Stepper stepper(mixture.view(), born.given ? &births_view : nullptr, known.view(),
+                              view(cluster, log_weight, start, member), track_id.data(),
+                              track_id.size(), detections_seen, settled, seen.view(), how.sensor,
+                              how.step, how.occlusion);
         out = stepper.run();
     }
-    const auto rows = out.existence.size(), classes = source.shape(1);
-    const auto remembered =
-        array_of(std::move(out.history), {rows, static_cast<std::size_t>(length)});
+    const auto rows = out.existence.size(), tracks = out.track_id.size();
+    // Of one sensor alone, a column; of several, a table.
+    const auto of_sensors = [&](std::vector<double>&& values) {
+        return how.sensor.sensors > 1
+                   ? array_of(std::move(values), {rows, how.sensor.sensors})
+                   : hand_over(std::move(values));
+    };
+    const auto widths = known.view();
     return nb::make_tuple(
         hand_over(std::move(out.undetected)),
         nb::make_tuple(hand_over(std::move(out.track)), hand_over(std::move(out.existence)),
                        rows_of<4>(std::move(out.mean)), matrices_of<4>(std::move(out.cov)),
                        rows_of<5>(std::move(out.box)), hand_over(std::move(out.label)),
                        hand_over(std::move(out.newest)), hand_over(std::move(out.shown)),
-                       remembered, array_of(std::move(out.source), {rows, classes})),
+                       array_of(std::move(out.history), {rows, widths.history_length})),
+        nb::make_tuple(array_of(std::move(out.source), {rows, widths.classes}),
+                       of_sensors(std::move(out.confidence)),
+                       of_sensors(std::move(out.detectable))),
+        array_of(std::move(out.record), {rows, widths.sums}),
         hand_over(std::move(out.hypotheses)), hand_over(std::move(out.track_id)), out.settled,
-        nb::make_tuple(out.missed, out.detected, hand_over(std::move(out.from)),
-                       hand_over(std::move(out.measurement)),
-                       hand_over(std::move(out.detection))),
+        nb::make_tuple(hand_over(std::move(out.track_existence)),
+                       array_of(std::move(out.of_class), {tracks, widths.classes}),
+                       hand_over(std::move(out.best))),
+        hand_over(std::move(out.inside)),
         nb::make_tuple(out.pruned + out.unlikely, out.capped, out.merged, out.recycled,
                        out.tracks_capped, out.undetected_pruned, out.undetected_merged,
                        out.undetected_capped),
@@ -555,7 +758,9 @@ NB_MODULE(_native, m) {
     m.def("share_inside", &share_inside);
     m.def("missed", &missed);
     m.def("detectable_if_missed", &detectable_if_missed);
+    m.def("level_evidence", &level_evidence);
     m.def("suppress_overlaps", &suppress_overlaps);
+    m.def("reported", &reported);
     m.def("used", &used);
     m.def("resumed", &resumed);
     m.def("move", &move);

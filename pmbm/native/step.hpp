@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "branch.hpp"
+#include "detection.hpp"
 #include "gate.hpp"
 #include "merge.hpp"
 #include "mixture.hpp"
@@ -44,16 +45,17 @@ struct LocalsView {
     const std::int64_t* newest;
     const bool* shown;
     const std::int32_t* history;
-    // P(class of the source) (H,K), predicted; P_D (H,) in the open.
-    const double *source, *detection;
-    std::size_t count, history_length, classes;
+    // P(class of the source) (H,K), predicted; of each of S sensors the mean score and P(detectable)
+    // (H,S); running sums of what detections said (H,R).
+    const double *source, *confidence, *detectable, *record;
+    std::size_t count, history_length, classes, sums;
 };
 
 struct ScanView {
     const double *position, *box;
     const std::int8_t* label;
-    // evidence (M,K); birth (K,) or (M,K); first (M,2).
-    const double *evidence, *birth, *first;
+    // evidence (M,K); birth (K,) or (M,K); first (M,2) or null; said (M,R); confidence (M,).
+    const double *evidence, *birth, *first, *said, *confidence;
     std::size_t count;
     bool birth_by_place;
 };
@@ -61,9 +63,12 @@ struct ScanView {
 struct SensorRules {
     const double* R;
     double clutter, detection_undetected;
-    bool looks_everywhere;
-    View view;
-    bool hides, undetected_in_detail;
+    // Of S sensors, and which of them looks.
+    const DetectionLaw* laws;
+    std::size_t sensors, looking;
+    // Where it looks, and where objects are followed.
+    View view, region;
+    bool occlusion, undetected_in_detail;
     Polygons occluders;
     bool scaled_misses;
     double box_gain;
@@ -71,6 +76,8 @@ struct SensorRules {
 
 struct StepRules {
     const double *F, *Q;
+    // What is left of each running sum (R,).
+    const double* fade;
     double survival, log_survival, gate;
     BranchLimits branching;
     ReductionLimits reduction;
@@ -80,9 +87,9 @@ struct StepRules {
     double most_of_one;
 };
 
-// What a step leaves: the tables of the density, and where each local hypothesis came from.  Of the
-// kept local hypotheses, the first `missed` are of the rows `from` of the predicted table, missed,
-// the next `detected` took `measurement`, the others are new tracks of `measurement`.
+// What a step leaves: the tables of the density; of its tracks existence (T,), that of sources of
+// each class (T,K), the rows of the likeliest local hypotheses (T,) and how probably these are where
+// objects are followed (T,); and counts of what was removed.
 struct Step {
     Mixture undetected;
     Ints track;
@@ -91,13 +98,12 @@ struct Step {
     Ints newest;
     std::vector<Flag> shown;
     std::vector<std::int32_t> history;
-    Floats source;
+    Floats source, confidence, detectable, record;
     Table hypotheses;
     Ints track_id;
     std::int64_t settled = 0;
-    std::size_t missed = 0, detected = 0;
-    Ints from, measurement;
-    Floats detection;
+    Floats track_existence, of_class, inside;
+    Ints best;
     std::int64_t unlikely = 0, pairs = 0, pruned = 0, capped = 0, merged = 0, recycled = 0,
                  tracks_capped = 0, undetected_pruned = 0, undetected_merged = 0,
                  undetected_capped = 0;
@@ -192,6 +198,7 @@ class Stepper {
         update();
         read(2);
         reduce();
+        judge();
         read(3);
         return std::move(out_);
     }
@@ -203,6 +210,11 @@ class Stepper {
         existence_.resize(local_.count);
         for (std::size_t h = 0; h < local_.count; ++h) {
             existence_[h] = local_.existence[h] * rules_.survival;
+        }
+        const auto S = sensor_.sensors;
+        detectable_.resize(local_.count * S);
+        for (std::size_t i = 0; i < detectable_.size(); ++i) {
+            detectable_[i] = sensor_.laws[i % S].predicted(local_.detectable[i]);
         }
         ppp_ = owned(survivors_);
         recycled_before_ = survivors_.track != nullptr;
@@ -218,27 +230,29 @@ class Stepper {
         const auto H = local_.count, P = ppp_.size();
         Floats inside(std::max(H, P), 1.0);
         detection_.resize(H);
-        if (!sensor_.looks_everywhere) {
-            share_inside(mean_.data(), cov_.data(), H, sensor_.view, inside.data());
+        share_inside(mean_.data(), cov_.data(), H, sensor_.view, inside.data());
+        const auto& law = sensor_.laws[sensor_.looking];
+        for (std::size_t h = 0, own = sensor_.looking; h < H; ++h, own += sensor_.sensors) {
+            detection_[h] = law.probability(local_.confidence[own], detectable_[own]) * inside[h];
         }
-        for (std::size_t h = 0; h < H; ++h) detection_[h] = local_.detection[h] * inside[h];
         if_detected_ = detection_;
         ppp_detection_.resize(P);
         std::fill(inside.begin(), inside.end(), 1.0);
-        if (sensor_.undetected_in_detail && !sensor_.looks_everywhere) {
+        if (sensor_.undetected_in_detail) {
             share_inside(ppp_.mean.data(), ppp_.cov.data(), P, sensor_.view, inside.data());
         }
         for (std::size_t p = 0; p < P; ++p) {
             ppp_detection_[p] = sensor_.detection_undetected * inside[p];
         }
         ppp_if_detected_ = ppp_detection_;
-        if (sensor_.hides) {
+        hides_ = sensor_.occlusion && (sensor_.undetected_in_detail || H > 0);
+        if (hides_) {
             missed_mean_ = mean_;
             missed_cov_ = cov_;
         }
         ppp_missed_mean_ = ppp_.mean;
         ppp_missed_cov_ = ppp_.cov;
-        if (sensor_.hides) hide();
+        if (hides_) hide();
     }
 
     void hide() {
@@ -328,9 +342,10 @@ class Stepper {
                          *birth = scan_.birth + (scan_.birth_by_place ? K * j : 0);
             double ratio = 0;
             for (std::size_t k = 0; k < K; ++k) ratio += evidence[k] * birth[k];
-            log_birth_[j] = log_e_[j] + std::log(scan_.first[2 * j]) + std::log(ratio);
-            log_new_[j] = std::max(
-                log_sum(log_birth_[j], log_clutter + std::log(scan_.first[2 * j + 1])), kLogTiny);
+            const double object = scan_.first ? std::log(scan_.first[2 * j]) : 0.0,
+                         clutter = scan_.first ? std::log(scan_.first[2 * j + 1]) : 0.0;
+            log_birth_[j] = log_e_[j] + object + std::log(ratio);
+            log_new_[j] = std::max(log_sum(log_birth_[j], log_clutter + clutter), kLogTiny);
         }
         children_ = branched(table_,
                              {row_.data(), measurement_.data(), pair_weight_.data(),
@@ -458,8 +473,8 @@ class Stepper {
         const auto missed = runs_[0].size(), detected = runs_[1].size();
         if (candidate < missed) {
             const auto h = static_cast<std::size_t>(runs_[0][candidate]);
-            std::copy_n((sensor_.hides ? missed_mean_ : mean_).data() + 4 * h, 4, mean);
-            std::copy_n((sensor_.hides ? missed_cov_ : cov_).data() + 16 * h, 16, cov);
+            std::copy_n((hides_ ? missed_mean_ : mean_).data() + 4 * h, 4, mean);
+            std::copy_n((hides_ ? missed_cov_ : cov_).data() + 16 * h, 16, cov);
         } else if (candidate < missed + detected) {
             const auto pair = static_cast<std::size_t>(runs_[1][candidate - missed]);
             const auto h = static_cast<std::size_t>(row_[pair]);
@@ -487,10 +502,11 @@ class Stepper {
         out_.box.resize(5 * rows.size());
         out_.history.resize(L * rows.size());
         out_.source.resize(local_.classes * rows.size());
-        for (auto* column : {&out_.existence, &out_.detection}) column->reserve(rows.size());
-        for (auto* column : {&out_.newest, &out_.from, &out_.measurement}) {
-            column->reserve(rows.size());
-        }
+        out_.confidence.resize(sensor_.sensors * rows.size());
+        out_.detectable.resize(sensor_.sensors * rows.size());
+        out_.record.resize(local_.sums * rows.size());
+        out_.existence.reserve(rows.size());
+        out_.newest.reserve(rows.size());
         out_.label.reserve(rows.size());
         out_.shown.reserve(rows.size());
         for (std::size_t i = 0; i < rows.size(); ++i) {
@@ -502,19 +518,12 @@ class Stepper {
             std::int64_t h = -1, j = -1;
             if (candidate < missed) {
                 h = runs_[0][candidate];
-                ++out_.missed;
-                out_.from.push_back(h);
-                out_.detection.push_back(detection_[h]);
             } else if (candidate < missed + detected) {
                 const auto pair = runs_[1][candidate - missed];
                 h = row_[pair];
                 j = measurement_[pair];
-                ++out_.detected;
-                out_.from.push_back(h);
-                out_.measurement.push_back(j);
             } else {
                 j = runs_[2][candidate - missed - detected];
-                out_.measurement.push_back(j);
             }
             if (j >= 0) std::copy_n(scan_.box + 5 * j, 5, box);
             if (h >= 0 && j < 0) std::copy_n(local_.box + 5 * h, 5, box);
@@ -532,6 +541,67 @@ class Stepper {
             }
             if (L) history[L - 1] = j >= 0 ? static_cast<std::int32_t>(j) : kMissed;
             tell_source(h, j, out_.source.data() + local_.classes * i);
+            remember(h, j, out_.confidence.data() + sensor_.sensors * i,
+                     out_.detectable.data() + sensor_.sensors * i);
+            record(h, j, out_.record.data() + local_.sums * i);
+        }
+    }
+
+    // What the sensors' models remember (S,) of such a local hypothesis.
+    void remember(std::int64_t h, std::int64_t j, double* confidence, double* detectable) const {
+        const auto S = sensor_.sensors;
+        for (std::size_t s = 0; s < S; ++s) {
+            const auto& law = sensor_.laws[s];
+            const bool looks = s == sensor_.looking;
+            confidence[s] = h >= 0 ? local_.confidence[S * h + s] : 0.0;
+            detectable[s] = h >= 0 ? detectable_[S * h + s] : law.usual;
+            if (!looks) continue;
+            if (j < 0) {
+                detectable[s] = law.if_missed(detectable[s], detection_[h]);
+                continue;
+            }
+            const double told = scan_.confidence[j];
+            confidence[s] = h >= 0 ? law.mean_score(confidence[s], told) : told;
+            detectable[s] = law.if_detected(detectable[s]);
+        }
+    }
+
+    // The running sums (R,) of such a local hypothesis.
+    void record(std::int64_t h, std::int64_t j, double* sums) const {
+        const auto R = local_.sums;
+        for (std::size_t i = 0; i < R; ++i) {
+            sums[i] = (h >= 0 ? local_.record[R * h + i] * rules_.fade[i] : 0.0) +
+                      (j >= 0 ? scan_.said[R * j + i] : 0.0);
+        }
+    }
+
+    // What a report asks of the tracks: in_view() and Marginals.shown_as() of estimation.py.
+    void judge() {
+        const auto H = out_.existence.size(), T = out_.track_id.size(), K = local_.classes;
+        auto mass = probability(view_of(out_.hypotheses), static_cast<std::int64_t>(H));
+        out_.track_existence.assign(T, 0.0);
+        out_.of_class.assign(T * K, 0.0);
+        out_.inside.resize(T);
+        for (std::size_t h = 0; h < H; ++h) {
+            mass[h] *= out_.existence[h];
+            const auto t = static_cast<std::size_t>(out_.track[h]);
+            out_.track_existence[t] += mass[h];
+            for (std::size_t k = 0; k < K; ++k) {
+                out_.of_class[K * t + k] += mass[h] * out_.source[K * h + k];
+            }
+            if (out_.shown[h].value) mass[h] *= rules_.stay;
+        }
+        for (auto& r : out_.track_existence) r = std::min(r, 1.0);
+        out_.best = likeliest(out_.track.data(), out_.newest.data(), mass.data(), H, T,
+                              rules_.as_likely);
+        for (std::size_t t = 0; t < T; ++t) {
+            const auto h = static_cast<std::size_t>(out_.best[t]);
+            share_inside(out_.mean.data() + 4 * h, out_.cov.data() + 16 * h, 1, sensor_.region,
+                         &out_.inside[t]);
+        }
+        for (std::size_t h = 0; h < H; ++h) {
+            const auto best = out_.best[static_cast<std::size_t>(out_.track[h])];
+            out_.shown[h] = {out_.newest[h] == out_.newest[static_cast<std::size_t>(best)]};
         }
     }
 
@@ -613,8 +683,8 @@ class Stepper {
     // Predicted: local hypotheses and undetected objects, and both after a miss.
     Floats mean_, cov_, existence_;
     Mixture ppp_;
-    bool recycled_before_ = false;
-    Floats detection_, if_detected_, ppp_detection_, ppp_if_detected_;
+    bool recycled_before_ = false, hides_ = false;
+    Floats detectable_, detection_, if_detected_, ppp_detection_, ppp_if_detected_;
     Floats missed_mean_, missed_cov_, missed_existence_, ppp_missed_mean_, ppp_missed_cov_;
     // Gated pairs, and first detections.
     std::unique_ptr<Expected> known_, first_;

@@ -358,7 +358,7 @@ FILTER_PLANTS = [
     _filter(
         "as many objects come where few have been",
         "models/score_levels",
-        "self.birth_after(scene, own.distance)",
+        "self.birth_after(scene, None if self.birth_at is None else own.distance)",
         "self.birth",
         by="tests/unit/test_filter_fitting.py::test_the_tracker_expects_fewer_objects_where_few_have_been",
     ),

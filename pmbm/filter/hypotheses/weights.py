@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pmbm.filter.density import Index
@@ -37,4 +39,4 @@ def log_of_each(value: FloatArray) -> FloatArray:
 
 def log_of(value: float) -> float:
     """log, and that of 0."""
-    return float(np.log(value)) if value > 0 else -np.inf
+    return math.log(value) if value > 0 else -math.inf

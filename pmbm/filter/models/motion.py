@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
 
 from pmbm.types import FloatArray
-from pmbm.validation import NOT_NEGATIVE, POSITIVE, SHARE, check_fields
+from pmbm.validation import NOT_NEGATIVE, POSITIVE, SHARE, check_fields, frozen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,10 +31,15 @@ class ConstantVelocity:
         The continuous form, so that predicting over a and then over b is predicting over a + b
         (Bar-Shalom, Li & Kirubarajan 2001, Sec. 6.2.2).
         """
-        a, b, c = dt**3 / 3, dt**2 / 2, dt
-        F = np.array([[1, 0, dt, 0], [0, 1, 0, dt], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64)
-        Q = np.array([[a, 0, b, 0], [0, a, 0, b], [b, 0, c, 0], [0, b, 0, c]], np.float64)
-        return F, self.acceleration_density * Q
+        return _constant_velocity(self.acceleration_density, dt)
+
+
+@lru_cache(maxsize=64)
+def _constant_velocity(density: float, dt: float) -> tuple[FloatArray, FloatArray]:
+    a, b, c = dt**3 / 3, dt**2 / 2, dt
+    F = np.array([[1, 0, dt, 0], [0, 1, 0, dt], [0, 0, 1, 0], [0, 0, 0, 1]], np.float64)
+    Q = np.array([[a, 0, b, 0], [0, a, 0, b], [b, 0, c, 0], [0, b, 0, c]], np.float64)
+    return frozen(F), frozen(density * Q)
 
 
 @dataclass(frozen=True, kw_only=True)

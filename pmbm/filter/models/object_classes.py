@@ -112,9 +112,12 @@ class ObjectClasses(NoRecord):
         return False
 
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
-        n = len(detections)
         return ScoredDetections(
-            detections, self.evidence(detections), self.birth, np.ones((n, 2)), np.zeros((n, 0))
+            detections,
+            self.evidence(detections),
+            self.birth,
+            None,
+            np.zeros((len(detections), 0)),
         )
 
     def predicted(self, source: FloatArray, dt: float) -> FloatArray:

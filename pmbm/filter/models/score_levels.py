@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pmbm.errors import InputError
 from pmbm.filter.models.protocols import SceneDensity
 from pmbm.filter.models.scores import NoRecord, ScoredDetections
+from pmbm.kernels import twin
 from pmbm.score import Calibration, ScoreModel
 from pmbm.types import Detections, FloatArray, Label
 from pmbm.validation import Checker, equal_fields, hash_of_fields
@@ -128,8 +129,8 @@ class ScoreLevels(NoRecord):
         return ScoredDetections(
             own,
             self.evidence(log_odds),
-            self.birth_after(scene, own.distance),
-            np.ones((len(own), 2)),
+            self.birth_after(scene, None if self.birth_at is None else own.distance),
+            None,
             np.zeros((len(own), 0)),
         )
 
@@ -167,8 +168,12 @@ class ScoreLevels(NoRecord):
         """P(object | level) (L,) in this scene."""
         if self.mean_objects is None:
             return self.object
-        odds = scene.abundance(self.mean_objects, self.prior_seconds)
-        return odds * self.object / (odds * self.object + 1 - self.object)
+        odds = scene.abundance(self.mean_objects, self.prior_seconds) * self.object
+        return odds / (odds + self._clutter_share)
+
+    @cached_property
+    def _clutter_share(self) -> FloatArray:
+        return 1 - self.object
 
     def observed(
         self, scene: SceneDensity, marginal: Marginals, in_view: FloatArray, dt: float
@@ -178,18 +183,19 @@ class ScoreLevels(NoRecord):
         number = float(marginal.objects(self.object) @ in_view)
         return scene.after(dt, number, _LOOKED * self.prior_seconds)
 
-    def birth_after(self, scene: SceneDensity, distance: FloatArray) -> FloatArray:
+    def birth_after(self, scene: SceneDensity, distance: FloatArray | None) -> FloatArray:
         """(L,) or, `distance` (M,) from the sensor, (M,L) new sources of each level, in all that
         are usual: where few objects have been seen, fewer come.  Where many have, no more do, since
         what fills a scene is known already."""
         birth = self.birth
         if self.birth_at is not None:
+            assert distance is not None
             nearby = [np.interp(distance, self.birth_at, one) for one in np.eye(len(birth))]
             birth = np.array(nearby).T @ birth
         if self.mean_objects is None:
             return birth
-        odds = min(1.0, scene.abundance(self.mean_objects, self.prior_seconds))
-        return birth * (odds * self.object + 1 - self.object)
+        odds = scene.abundance(self.mean_objects, self.prior_seconds)
+        return birth if odds >= 1 else birth * (odds * self.object + self._clutter_share)
 
     def own(self, detections: Detections) -> tuple[Detections, FloatArray]:
         """The detections that may be of these sources, N of them, and their log-odds (N,).
@@ -199,7 +205,8 @@ class ScoreLevels(NoRecord):
         calibration = self.calibration or ScoreModel.trusting()
         if isinstance(calibration, ScoreModel):
             score = calibration.read(detections)
-            log_odds = calibration.log_likelihood_ratio(score).clip(-_SUREST, _SUREST)
+            told = calibration.log_likelihood_ratio(score)
+            log_odds = np.minimum(np.maximum(told, -_SUREST), _SUREST)
         else:
             log_odds = calibration.log_odds(detections)
         if self.label is None:
@@ -209,12 +216,26 @@ class ScoreLevels(NoRecord):
 
     def evidence(self, log_odds: FloatArray) -> FloatArray:
         """(M,L) p(log-odds | level) / p(log-odds | clutter) of detections (M,)."""
-        apart = np.square((log_odds[:, None] - self.level) / self.scatter)
-        nearest = apart.min(axis=1, initial=np.inf, keepdims=True)
-        height = np.exp(0.5 * (nearest - apart))
         if self.clutter is not None:
-            return height / np.maximum(height @ self.clutter, 1e-6)[:, None]
-        return height * (np.exp(log_odds) / np.maximum(height @ self.birth, 1e-6))[:, None]
+            return _against(log_odds, self.level, self.scatter, self.clutter, False)
+        return _against(log_odds, self.level, self.scatter, self.birth, True)
+
+
+@twin("level_evidence")
+def _against(
+    log_odds: FloatArray,
+    level: FloatArray,
+    scatter: float,
+    share: FloatArray,
+    worth_their_odds: bool,
+) -> FloatArray:
+    """(M,L) densities of log-odds (M,) about levels (L,), over their mean with these shares (L,);
+    times the odds themselves, where these are what a new source is worth against clutter."""
+    apart = np.square((log_odds[:, None] - level) / scatter)
+    nearest = apart.min(axis=1, initial=np.inf, keepdims=True)
+    height = np.exp(0.5 * (nearest - apart))
+    worth = np.exp(log_odds) if worth_their_odds else np.ones(len(log_odds))
+    return height * (worth / np.maximum(height @ share, 1e-6))[:, None]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -108,7 +108,7 @@ class ScoreRecord(OneClass):
             detections.take(own),
             np.ones((n, 1)),
             np.ones(1),
-            np.ones((n, 2)),
+            None,
             np.column_stack([score[own], one, rival, score[own], one]),
         )
 

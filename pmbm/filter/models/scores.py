@@ -29,14 +29,14 @@ class ScoredDetections:
     evidence (M,K) : p(score, label | class) / p(score, label | clutter).
     birth (K,) or (M,K) : shares of the classes among sources detected for the first time, the same
         anywhere or by what may be where each measurement is.
-    first (M,2) : factors on the density of first detections and on that of clutter.
+    first (M,2) : factors on the density of first detections and on that of clutter; None, none.
     said (M,R) : what each detection adds to the running sums of its source's record.
     """
 
     detections: Detections
     evidence: FloatArray
     birth: FloatArray
-    first: FloatArray
+    first: FloatArray | None
     said: FloatArray
 
 
@@ -86,9 +86,7 @@ class IgnoreScores(OneClass):
 
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
         n = len(detections)
-        return ScoredDetections(
-            detections, np.ones((n, 1)), _ONE, np.ones((n, 2)), np.zeros((n, 0))
-        )
+        return ScoredDetections(detections, np.ones((n, 1)), _ONE, None, np.zeros((n, 0)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +125,4 @@ class EveryScore(OneClass):
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
         s = confidence_in(detections, self.score_model)
         ratio = (s / (1 - s))[:, None]
-        return ScoredDetections(
-            detections, ratio, _ONE, np.ones((len(s), 2)), np.zeros((len(s), 0))
-        )
+        return ScoredDetections(detections, ratio, _ONE, None, np.zeros((len(s), 0)))
