@@ -61,7 +61,7 @@ def _replace(path: Path, content: bytes) -> None:
     try:
         with os.fdopen(descriptor, "wb") as stream:
             if path.exists():
-                os.fchmod(descriptor, path.stat().st_mode & 0o7777)
+                os.chmod(own, path.stat().st_mode & 0o7777)
             stream.write(content)
             stream.flush()
             os.fsync(descriptor)
@@ -69,6 +69,8 @@ def _replace(path: Path, content: bytes) -> None:
     except BaseException:
         own.unlink(missing_ok=True)
         raise
+    if os.name != "posix":
+        return
     # The new name is on the disk once the folder is.
     folder = os.open(path.parent, os.O_RDONLY)
     try:
@@ -80,7 +82,8 @@ def _replace(path: Path, content: bytes) -> None:
 def _beside(path: Path) -> tuple[Path, int]:
     """A new file in the same folder, and its descriptor; no other writer has the name."""
     own = path.with_name(f".{secrets.token_hex(8)}.part")
-    return own, os.open(own, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    binary = getattr(os, "O_BINARY", 0)
+    return own, os.open(own, os.O_WRONLY | os.O_CREAT | os.O_EXCL | binary, 0o666)
 
 
 def _is_special(path: Path) -> bool:

@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from pmbm.errors import InputError, Verbatim, nearest_hint
-from pmbm.external.program import EXEC, program_named
+from pmbm.external.program import EXEC, program_hint, program_named
 from pmbm.named_modules import import_named
 from pmbm.seeding import seeded
 from pmbm.types import Detections, Label, Recording, Site, Tracks, TrackSequence
@@ -78,14 +78,16 @@ def tracker_factory(name: str) -> TrackerFactory:
         raise InputError(
             f"no tracker '{name}'",
             expected="a shipped tracker, MODULE:FACTORY or exec:COMMAND",
-            hint=nearest_hint(name, SHIPPED_TRACKERS, "tracker"),
+            hint=program_hint(name) or nearest_hint(name, SHIPPED_TRACKERS, "tracker"),
         )
     try:
         factory: Any = import_named(module_name)
         for part in attribute.split("."):
             factory = getattr(factory, part)
     except (ImportError, AttributeError) as error:
-        raise InputError(f"tracker '{name}' cannot be imported: {error}") from error
+        raise InputError(
+            f"tracker '{name}' cannot be imported: {error}", hint=program_hint(name)
+        ) from error
     if not callable(factory):
         raise InputError(f"tracker '{name}'", expected="a factory", got=type(factory).__name__)
     return Bound(factory) if name in SHIPPED_BOUNDS else factory

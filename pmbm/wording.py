@@ -31,6 +31,14 @@ def expected_of(problem: Mapping[str, Any]) -> str:
             return f"a text of at least {counted(found['min_length'], 'character')}"
         case "string_pattern_mismatch":
             return f"a text of the pattern {found['pattern']}"
+        case "greater_than":
+            return f"above {found['gt']:g}"
+        case "greater_than_equal":
+            return f"at least {found['ge']:g}"
+        case "less_than":
+            return f"below {found['lt']:g}"
+        case "less_than_equal":
+            return f"at most {found['le']:g}"
         case "list_type":
             return "a list"
         case "dict_type" | "model_type" | "dataclass_type":

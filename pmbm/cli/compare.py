@@ -78,7 +78,7 @@ def command(
     """
     from pmbm.cli.dataset_scores import rule_of
     from pmbm.cli.evaluate import write_json
-    from pmbm.datasets import open_dataset
+    from pmbm.datasets import chosen_sequences, open_dataset
     from pmbm.durable import replace_text
     from pmbm.errors import InputError, nearest_hint
 
@@ -92,7 +92,7 @@ def command(
         raise InputError(f"the rule has no '{metric}'", field="--metric", hint=hint)
     if ego_motion and poses is None:
         raise InputError("without poses there is nothing to leave out", field="--poses")
-    names = list(dict.fromkeys(sequences)) or dataset.sequences()
+    names = chosen_sequences(dataset, sequences)
     entries = _configured(dataset, dataset_name, list(dict.fromkeys(trackers)), published)
     runs = _run(dataset, names, entries, rule, jobs)
     if ego_motion:
@@ -186,7 +186,7 @@ def _run(
     jobs: int,
 ) -> Runs:
     from pmbm.cli.dataset_scores import score_run
-    from pmbm.cli.track import spread
+    from pmbm.cli.progress import spread
 
     keys = [(tracker, name) for tracker in entries for name in names]
     tasks = [(dataset, name, entries[tracker], rule) for tracker, name in keys]

@@ -52,12 +52,12 @@ def command(
       pmbm evaluate kitti --root kitti --results results --classes Car --sequences 0006 0008
     """
     from pmbm.cli.dataset_scores import rule_of, score_sequence
-    from pmbm.cli.track import spread
-    from pmbm.datasets import open_dataset
+    from pmbm.cli.progress import spread
+    from pmbm.datasets import chosen_sequences, open_dataset
 
     dataset = open_dataset(dataset_name, root=root, classes=classes or None)
     by = rule_of(dataset, rule)
-    names = list(dict.fromkeys(sequences)) or dataset.sequences()
+    names = chosen_sequences(dataset, sequences)
     pairs = [(kind, name) for kind in dataset.classes for name in names]
     tasks = [(dataset, name, kind, results, rule) for kind, name in pairs]
     scored = dict(zip(pairs, spread(score_sequence, tasks, jobs, "sequences"), strict=True))

@@ -112,12 +112,12 @@ def _logged(
     classes: tuple[str, ...],
     sequences: tuple[str, ...],
 ) -> Iterator[tuple[str, Recording]]:
-    from pmbm.datasets import open_dataset
+    from pmbm.datasets import chosen_sequences, open_dataset
 
     dataset = open_dataset(
         name, root=root, detections=detections, poses=poses, classes=classes or None
     )
-    for sequence in list(dict.fromkeys(sequences)) or dataset.sequences():
+    for sequence in chosen_sequences(dataset, sequences):
         yield sequence, dataset.recording(sequence)
 
 

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli import settings
+
 if TYPE_CHECKING:
     from pmbm.sim.search.falsify import Badness, Finding, Knob
+    from pmbm.study import ConfiguredTracker
 
 
 @click.command()
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     show_default=True,
     metavar="NAME|MODULE:FACTORY|exec:COMMAND",
 )
+@settings.option
 @click.option("--metric", default="gospa", show_default=True, help="What to make worse.")
 @click.option(
     "--limit",
@@ -54,6 +58,7 @@ if TYPE_CHECKING:
 def command(
     scenario_name: str,
     tracker_name: str,
+    settings: tuple[str, ...],
     metric: str,
     limit: float | None,
     varied: tuple[tuple[str, float, float], ...],
@@ -72,8 +77,10 @@ def command(
       pmbm falsify crossing --metric id_switches --limit 2
       pmbm falsify single_straight --vary detector.clutter.rate 0 30 --out worst.toml
     """
+    import shlex
     import sys
 
+    from pmbm.cli.settings import configured, shown_name
     from pmbm.durable import check_writable, replace_text
     from pmbm.errors import InputError, Verbatim
     from pmbm.metrics.catalogue import definition
@@ -93,6 +100,7 @@ def command(
                 expected="LEAST below MOST",
                 got=Verbatim(f"{least:g} {most:g}"),
             )
+    shown = shown_name(tracker_name, settings)
     sign = -1.0 if definition(metric).direction == "higher" else 1.0
     base = scenario.base()
     swept = swept_knobs(scenario)
@@ -103,19 +111,22 @@ def command(
     _check(base.document, knobs)
     finding = search(
         base.document,
-        badness_of(tracker_name, metric, sign, trials, seed),
+        badness_of(configured(tracker_name, settings), metric, sign, trials, seed),
         knobs,
         budget=budget,
         limit=None if limit is None else sign * limit,
         seed=seed,
     )
     if finding is None:
-        click.echo(f"nothing found: {metric} of {tracker_name} stayed within the limit")
+        click.echo(f"nothing found: {metric} of {shown} stayed within the limit")
         return
     document = {**finding.document, "name": name}
+    again = ["pmbm", "run", str(path), "--tracker", tracker_name]
+    again += [word for one in settings for word in ("--set", one)]
+    again += ["--seed", str(seed), "--trials", str(trials)]
     replace_text(
         path,
-        _header(scenario_name, tracker_name, metric, sign, finding, trials, seed, path)
+        _header(scenario_name, shown, metric, sign, finding, shlex.join(again))
         + toml_text(document),
     )
     changed = ", ".join(f"{key} = {value:g}" for key, value in finding.changed.items()) or "nothing"
@@ -126,7 +137,9 @@ def command(
     sys.exit(1)
 
 
-def badness_of(tracker: str, metric: str, sign: float, trials: int, seed: int) -> Badness:
+def badness_of(
+    tracker: ConfiguredTracker | str, metric: str, sign: float, trials: int, seed: int
+) -> Badness:
     """The metric, larger is worse, of a scenario's document."""
     import numpy as np
 
@@ -134,9 +147,7 @@ def badness_of(tracker: str, metric: str, sign: float, trials: int, seed: int) -
     from pmbm.metrics import evaluate
     from pmbm.seeding import tracker_seed
     from pmbm.sim.scenario.scenario import Scenario
-    from pmbm.tracking import track, tracker_factory
-
-    factory = tracker_factory(tracker)
+    from pmbm.study.configured import follow
 
     def badness(document: Mapping[str, Any]) -> float:
         scenario = Scenario(document)
@@ -144,7 +155,7 @@ def badness_of(tracker: str, metric: str, sign: float, trials: int, seed: int) -
         for trial in range(trials):
             recording = scenario.record(seed, trial)
             try:
-                tracks = track(factory, recording, tracker_seed(seed, trial))
+                tracks = follow(tracker, recording, tracker_seed(seed, trial))
             except InputError as error:
                 # The search takes an InputError for a world that there cannot be.
                 said = [str(error.located(run=f"trial {trial}")), *notes_of(error)]
@@ -182,9 +193,7 @@ def _header(
     metric: str,
     sign: float,
     finding: Finding,
-    trials: int,
-    seed: int,
-    path: Path,
+    again: str,
 ) -> str:
     from pmbm.provenance import made_with
 
@@ -193,5 +202,5 @@ def _header(
         f"{sign * finding.value:z.4g}, where {scenario} as it is has {sign * finding.rest:z.4g}.\n"
         f"# Found by a search, made smaller while it failed.  {made_with()}\n"
         f"# See it again with\n"
-        f"#   pmbm run {path} --tracker {tracker} --seed {seed} --trials {trials}\n\n"
+        f"#   {again}\n\n"
     )

@@ -81,9 +81,8 @@ def command(
           --poses kitti/pose --sequences 0000 0002 0003 --held-back 0006 0008 --out fitted
     """
     import numpy as np
-    from rich.console import Console
-    from rich.progress import track
 
+    from pmbm.cli.progress import bar
     from pmbm.datasets import load, open_dataset, with_origins
     from pmbm.durable import replace_text
     from pmbm.reports.detector_page import DetectorReport, detector_page
@@ -126,7 +125,8 @@ def command(
         held_model = _modelled_figures(model, held, trials, min_iou)
         held_real = [figures(r) for r in held]
         others = models_of_resampled(real, refits, min_iou=min_iou)
-        refitted = list(track(others, "refitting", total=refits, console=Console(stderr=True)))
+        with bar() as shown:
+            refitted = list(shown.track(others, total=refits, description="refitting"))
         judged = bootstrap(fitted_real, refitted, held_real, held_model)
     _print("fitted sequences", fitted)
     if judged:

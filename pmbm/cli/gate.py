@@ -415,14 +415,13 @@ def _run(task: _Task, entries: dict[str, Any]) -> GateReport:
 
 @contextmanager
 def _progress(task: _Task) -> Iterator[Any]:
-    from rich.console import Console
-    from rich.progress import Progress
+    from pmbm.cli.progress import bar
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        tasks = {label: bar.add_task(label, total=None) for label in task.cells}
+    with bar() as shown:
+        tasks = {label: shown.add_task(label, total=None) for label in task.cells}
 
         def tell(name: str, done: int, most: int) -> None:
-            bar.update(tasks[name], completed=done, total=most)
+            shown.update(tasks[name], completed=done, total=most)
 
         yield tell
 

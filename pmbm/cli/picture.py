@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pmbm.cli import settings
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -34,6 +36,7 @@ KINDS = ("scene", "hidden", "errors")
     metavar="NAME|MODULE:FACTORY|exec:COMMAND",
     help="A tracker to draw; give it several times for several panels.",
 )
+@settings.option
 @click.option(
     "--frame", type=click.IntRange(min=0), help="[default: the one with the most hidden objects]"
 )
@@ -49,6 +52,7 @@ def command(
     scenario: str,
     kind: str,
     trackers: tuple[str, ...],
+    settings: tuple[str, ...],
     frame: int | None,
     seed: int,
     level: float | None,
@@ -63,6 +67,7 @@ def command(
       pmbm picture occluded_birth --kind hidden --out docs/hidden.svg
       pmbm picture crossing --kind errors --tracker pmbm --tracker waymo
     """
+    from pmbm.cli.settings import named
     from pmbm.cli.sources import resolve
     from pmbm.errors import InputError
     from pmbm.reports.figures import save
@@ -71,9 +76,7 @@ def command(
     if out is not None and out.suffix.lower() not in (".svg", ".png"):
         raise InputError("unknown format", field="--out", expected=".svg or .png", got=out.name)
     source = resolve(scenario, {} if level is None else {"level": level})
-    replay, _ = trial_replay(
-        source, {name: name for name in trackers}, seed, 0, with_maps=kind == "hidden"
-    )
+    replay, _ = trial_replay(source, named(trackers, settings), seed, 0, with_maps=kind == "hidden")
     figure = _figure(kind, replay, frame, dark=dark)
     out = out or Path("reports") / f"{source.name}-{kind}.png"
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shlex
 from collections.abc import Mapping, Sequence
@@ -110,13 +111,14 @@ def command(
       pmbm run truck_occlusion --explain 9
       pmbm run truck_occlusion --log truck.mcap
     """
-    from pmbm.cli.settings import configured, shown_name
+    from pmbm.cli.settings import named
     from pmbm.cli.sources import resolve
     from pmbm.durable import check_writable, replace_text
     from pmbm.errors import InputError
     from pmbm.reports.render import run_page
     from pmbm.reports.replays import problems
     from pmbm.study import TrialsInterrupted, summarise
+    from pmbm.study.study import check_sensors
     from pmbm.tracking import tracker_factory
 
     if replay_trial >= trials:
@@ -126,14 +128,13 @@ def command(
             expected=f"0 to {trials - 1}",
             got=replay_trial,
         )
-    first, *others = trackers
-    named: dict[str, Any] = {}
-    if settings:
-        named[shown_name(first, settings)] = configured(first, settings)
     # Workers look the names up themselves, where pickled modules might be out of their reach.
-    named |= {name: name for name in (others if settings else trackers)}
-    factories = {k: tracker_factory(v) if isinstance(v, str) else v for k, v in named.items()}
+    chosen = named(trackers, settings)
+    factories = {k: tracker_factory(v) if isinstance(v, str) else v for k, v in chosen.items()}
     sources: list[Any] = [resolve(name, {}) for name in scenarios]
+    for source, tracker in itertools.product(sources, chosen.values()):
+        if not isinstance(tracker, str):
+            check_sensors(tracker, source)
     if level is not None:
         sources = [_at(source, level) for source in sources]
     # Found out before any trial, not after all.
@@ -149,7 +150,7 @@ def command(
     if explain is not None:
         from pmbm.cli.story import story_of
 
-        name = next(iter(named))
+        name = next(iter(chosen))
         stories = [
             story_of(source, name, factories[name], seed, replay_trial, explain)
             for source in sources
@@ -158,7 +159,7 @@ def command(
     for source in sources:
         results: Sequence[TrialResult]
         try:
-            results = _run(source, named, seed, trials, jobs, quiet=json_file == "-")
+            results = _run(source, chosen, seed, trials, jobs, quiet=json_file == "-")
         except TrialsInterrupted as interrupt:
             results, stopped = interrupt.results, True
             click.echo(f"pmbm: stopped: {source.name} has {len(results)} of {trials}", err=True)
@@ -169,7 +170,7 @@ def command(
         wrong = problems(results)
         # Who is in a hurry gets no replay, which takes another trial.
         shown = None if stopped else replay_trial
-        sections.append(_section(source, named, seed, shown, summary, with_maps, wrong))
+        sections.append(_section(source, chosen, seed, shown, summary, with_maps, wrong))
         _show(source.name, summary, results, to_stderr=json_file == "-")
         for line in wrong:
             click.echo(f"{source.name}: {line}", err=True)
@@ -235,20 +236,18 @@ def _run(
     *,
     quiet: bool,
 ) -> list[TrialResult]:
-    from rich.console import Console
-    from rich.progress import Progress
-
+    from pmbm.cli.progress import bar
     from pmbm.study import run_trials
 
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as bar:
-        task = bar.add_task(source.name, total=trials)
+    with bar(quiet=quiet) as shown:
+        task = shown.add_task(source.name, total=trials)
         return run_trials(
             source,
             trackers,
             seed,
             trials,
             jobs,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            progress=lambda done, total: shown.update(task, completed=done, total=total),
         )
 
 

@@ -18,7 +18,8 @@ option = click.option(
     "settings",
     multiple=True,
     metavar="KEY=VALUE",
-    help="A parameter of the first tracker, such as gate=4 or sensor.clutter_rate=2.",
+    help="A parameter of the tracker, of several the first, such as gate=4 or "
+    "sensor.clutter_rate=2.",
 )
 
 
@@ -29,9 +30,27 @@ def configured(name: str, settings: Sequence[str]) -> ConfiguredTracker:
     """
     from pmbm.study import ConfiguredTracker
 
-    tracker = ConfiguredTracker(name, tuple(_parsed(one) for one in settings))
+    tracker = ConfiguredTracker(name, tuple(parsed(settings).items()))
     tracker.bound()
     return tracker
+
+
+def named(trackers: Sequence[str], settings: Sequence[str]) -> dict[str, ConfiguredTracker | str]:
+    """The trackers by what tables call them, the first with these parameters.
+
+    Raises InputError as `configured` does.
+    """
+    first, *others = trackers
+    start = {shown_name(first, settings): configured(first, settings) if settings else first}
+    return {**start, **{name: name for name in others}}
+
+
+def parsed(settings: Sequence[str]) -> dict[str, Any]:
+    """Parameters by their names.
+
+    Raises InputError for what is not KEY=VALUE.
+    """
+    return dict(_parsed(one) for one in settings)
 
 
 def shown_name(name: str, settings: Sequence[str]) -> str:

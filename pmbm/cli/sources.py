@@ -46,8 +46,15 @@ def resolve(name: str, overrides: Mapping[str, Any]) -> Source:
         document = copy.deepcopy(dict(scenario.document))
         for key, value in keys.items():
             _put(document, key, value)
-        scenario = Scenario(document, scenario.file)
-    return scenario.at(overrides["level"]) if "level" in overrides else scenario
+        try:
+            scenario = Scenario(document, scenario.file)
+        except InputError as error:
+            # It is not the scenario's own file that is wrong.
+            raise error.located(file=None, field=f"sweep: {error.field}") from None
+    try:
+        return scenario.at(overrides["level"]) if "level" in overrides else scenario
+    except InputError as error:
+        raise error.located(field="sweep: level") from None
 
 
 def _put(document: dict[str, Any], key: str, value: Any) -> None:

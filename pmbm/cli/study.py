@@ -66,6 +66,7 @@ def command(
     from pmbm.study.file import load_study
 
     study = load_study(file, resolve)
+    _check_gate(study, file)
     store = store or file.with_suffix(".sqlite")
     if replay is not None:
         return _replay(study, file, replay, out)
@@ -80,6 +81,26 @@ def command(
             click.echo(f"pmbm: stopped; what is done is stored, resume with: {again}", err=True)
             return INTERRUPTED
     return _finish(study, file, store, done, export_file)
+
+
+def _check_gate(study: Study, file: Path) -> None:
+    """Raise InputError for a `[gate]` table that no gate could judge by."""
+    from pmbm.errors import InputError
+    from pmbm.regression import Rules, gated_metric
+
+    if not study.gate:
+        return
+    rules = {key: value for key, value in study.gate.items() if key not in _NOT_OF_RULES}
+    try:
+        metric = gated_metric(study.gate["metric"], study.gate["bounds"])
+        # A margin may be left to the command that gates.
+        if rules["margin"] is not None or rules["relative_margin"] is not None:
+            Rules(**rules).check_range(metric.value_range)
+    except InputError as error:
+        raise error.located(file=file, field=f"gate.{error.field or 'metric'}") from None
+
+
+_NOT_OF_RULES = ("metric", "bounds", "candidate")
 
 
 def _finish(study: Study, file: Path, store: Path, done: Progress, export_file: Path | None) -> int:
@@ -172,20 +193,16 @@ def write_replay(
 
 @contextmanager
 def _progress(study: Study) -> Iterator[Any]:
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
-        Progress,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
 
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _line_now_and_then(study.name)
-        return
+    from pmbm.cli.progress import bar
+
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -193,14 +210,17 @@ def _progress(study: Study) -> Iterator[Any]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(study.name, total=len(study))
+    line = _line_now_and_then(study.name)
+    with bar(*columns) as shown:
+        task = shown.add_task(study.name, total=len(study))
 
         def tell(progress: Any) -> None:
             name = study.name
             if progress.failed:
                 name += f" ({progress.failed} failed)"
-            bar.update(task, completed=progress.done, description=name)
+            shown.update(task, completed=progress.done, description=name)
+            if shown.disable:
+                line(progress)
 
         yield tell
 

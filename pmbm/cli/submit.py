@@ -40,7 +40,7 @@ def command(
     """
     import inspect
 
-    from pmbm.datasets import open_dataset
+    from pmbm.datasets import chosen_sequences, open_dataset
     from pmbm.errors import InputError
 
     dataset = open_dataset(dataset_name, root=root, detections=detections, classes=classes or None)
@@ -53,5 +53,5 @@ def command(
             if given is None:
                 raise InputError("missing option", field=f"--{name}")
             options[name] = given
-    names = list(dict.fromkeys(sequences)) or dataset.sequences()
+    names = chosen_sequences(dataset, sequences)
     click.echo(dataset.submit(names, results, **options))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import dataset_options
+from pmbm.cli import dataset_options, settings
 from pmbm.cli.dataset_options import FOLDER
 from pmbm.cli.many import ManyValues
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     show_default=True,
     metavar="NAME|MODULE:FACTORY|exec:COMMAND",
 )
+@settings.option
 @click.option(
     "--config",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -66,6 +67,7 @@ def command(
     sequences: tuple[str, ...],
     out: Path,
     tracker_name: str,
+    settings: tuple[str, ...],
     config: Path | None,
     mode: str,
     log: str | None,
@@ -81,7 +83,9 @@ def command(
     """
     from pmbm.cli import warn
     from pmbm.cli.detector import heed_detector
-    from pmbm.datasets import open_dataset
+    from pmbm.cli.progress import spread
+    from pmbm.cli.settings import parsed
+    from pmbm.datasets import chosen_sequences, open_dataset
     from pmbm.datasets.files import prepare_folder
 
     dataset = open_dataset(
@@ -90,8 +94,8 @@ def command(
     if config is not None and not config.exists():
         config = preset(dataset_name, tracker_name, str(config)) or config
     config = config or preset(dataset_name, tracker_name)
-    trackers = class_trackers(dataset, tracker_name, config)
-    names = list(dict.fromkeys(sequences)) or dataset.sequences()
+    trackers = class_trackers(dataset, tracker_name, config, parsed(settings))
+    names = chosen_sequences(dataset, sequences)
     if getattr(dataset, "without_poses", False):
         warn("no --poses: objects are followed in the frame of the moving sensor")
     shipped = shipped_detectors(dataset_name, tracker_name)
@@ -255,10 +259,13 @@ def _presets() -> Path:
 
 
 def class_trackers(
-    dataset: Dataset, tracker: str, config: Path | None
+    dataset: Dataset,
+    tracker: str,
+    config: Path | None,
+    settings: Mapping[str, Any] | None = None,
 ) -> dict[Label, ConfiguredTracker]:
-    """The tracker of each class with its parameters: those of the file's top level, and over them
-    those of the class's own table."""
+    """The tracker of each class with its parameters: those of the file's top level, over them those
+    of the class's own table, and over these the settings."""
     from pmbm.study.configured import ConfiguredTracker, config_of, merged, nested
     from pmbm.types import Label
 
@@ -268,11 +275,13 @@ def class_trackers(
     trackers = {}
     for name, label in zip(dataset.classes, dataset.labels, strict=True):
         over = nested(_table(own[name], name, config))
-        parameters = merged(nested(values), over, config_of(tracker))
-        configured = ConfiguredTracker(tracker, tuple(parameters.items()))
+        known = config_of(tracker)
+        parameters = merged(nested(values), over, known)
         with _blaming(config):
-            configured.bound()
-        trackers[Label(label)] = configured
+            ConfiguredTracker(tracker, tuple(parameters.items())).bound()
+        parameters = merged(parameters, nested(settings or {}), known)
+        trackers[Label(label)] = ConfiguredTracker(tracker, tuple(parameters.items()))
+        trackers[Label(label)].bound()
     return trackers
 
 
@@ -287,38 +296,6 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(read_text(path))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"not valid TOML: {error}", file=path) from None
-
-
-def spread(
-    function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int, what: str
-) -> Iterator[Any]:
-    """`function` of each task, in order, over `jobs` processes, with a bar on stderr."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), TextColumn("{task.completed}/{task.total} {task.description}"))
-    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
-        bar = progress.add_task(what, total=len(tasks))
-        for result in _results(function, tasks, jobs):
-            progress.advance(bar)
-            yield result
-
-
-def _results(
-    function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int
-) -> Iterator[Any]:
-    if min(jobs, len(tasks)) <= 1:
-        yield from (function(*task) for task in tasks)
-        return
-    from pmbm.study.parallel import process_pool
-
-    pool = process_pool(min(jobs, len(tasks)))
-    try:
-        yield from (future.result() for future in [pool.submit(function, *t) for t in tasks])
-    except BaseException:
-        pool.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
-        raise
-    pool.shutdown(wait=True)
 
 
 def _table(value: Any, name: str, config: Path | None) -> dict[str, Any]:

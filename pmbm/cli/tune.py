@@ -340,28 +340,23 @@ def _pool(jobs: int) -> Iterator[Spread]:
     if jobs == 1:
         yield map
         return
-    from pmbm.study.parallel import process_pool
+    from pmbm.study.parallel import workers
 
-    pool = process_pool(jobs)
-    try:
+    with workers(jobs) as pool:
         yield pool.map
-    except BaseException:
-        pool.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
-        raise
-    pool.shutdown(wait=True)
 
 
 @contextmanager
 def _bar(metric: str) -> Iterator[Progress]:
     """A bar on stderr, with the best value so far."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
+
+    from pmbm.cli.progress import bar
 
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
-    with Bar(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("with the defaults", total=None)
-        yield lambda done, total, best: bar.update(
+    with bar(*columns, TimeRemainingColumn()) as shown:
+        task = shown.add_task("with the defaults", total=None)
+        yield lambda done, total, best: shown.update(
             task, completed=done, total=total, description=f"best {metric} {best:.5g}"
         )
 

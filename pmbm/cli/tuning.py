@@ -10,7 +10,7 @@ from typing import Any
 from pmbm.cli.dataset_scores import rule_of, score_run
 from pmbm.cli.fitting import fitted_tracker
 from pmbm.cli.track import class_trackers, preset
-from pmbm.datasets import Dataset, open_dataset, with_origins
+from pmbm.datasets import Dataset, chosen_sequences, open_dataset, with_origins
 from pmbm.errors import InputError, nearest_hint
 from pmbm.metrics import Evaluation, combine
 from pmbm.metrics.catalogue import definition
@@ -171,7 +171,7 @@ class Logged:
             raise InputError(f"the rule has no '{metric}'", field="--metric", hint=hint)
         label = Label(dataset.labels[0])
         tracker = class_trackers(dataset, tracker_name, config or preset(name, tracker_name))[label]
-        names = list(dict.fromkeys(sequences)) or dataset.sequences()
+        names = chosen_sequences(dataset, sequences)
         recordings = {each: dataset.recording(each, truth=False) for each in names}
         if fitted:
             labelled = (with_origins(dataset.recording(each)) for each in names)

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 from pmbm.datasets.origins import with_origins
-from pmbm.errors import InputError, nearest_hint
+from pmbm.errors import InputError, InputWarning, nearest_hint
 from pmbm.metrics.benchmarks.rules import ComparedSequence, ScoringRule
 from pmbm.types import Recording, TrackSequence
+from pmbm.wording import counted
 
-__all__ = ["DATASETS", "Dataset", "adapter", "load", "open_dataset", "with_origins"]
+__all__ = [
+    "DATASETS",
+    "Dataset",
+    "adapter",
+    "chosen_sequences",
+    "load",
+    "open_dataset",
+    "with_origins",
+]
 
 DATASETS: Final = {
     "argoverse1": "pmbm.datasets.argoverse1:Argoverse1",
@@ -117,6 +127,38 @@ def open_dataset(name: str, **options: Any) -> Dataset:
         )
     dataset: Dataset = made(**given)
     return dataset
+
+
+def chosen_sequences(dataset: Dataset, names: Sequence[str] = ()) -> list[str]:
+    """These sequences, each once; all of the dataset where none is named.
+
+    Warns (InputWarning) of detections of sequences that the dataset does not have: without poses,
+    calibration or truth, whichever its sequences are known by.
+    """
+    if names:
+        return list(dict.fromkeys(names))
+    known = dataset.sequences()
+    others = _detected_elsewhere(dataset, known)
+    if others:
+        shown = ", ".join(others[:5]) + (", ..." if len(others) > 5 else "")
+        warnings.warn(
+            f"detections of {counted(len(others), 'sequence')} that {dataset.name} does not have "
+            f"are passed over: {shown}; expected {LAYOUTS[dataset.name]}",
+            InputWarning,
+            stacklevel=2,
+        )
+    return known
+
+
+def _detected_elsewhere(dataset: Dataset, known: Sequence[str]) -> list[str]:
+    """Sequences with a file or folder among the detections as the known ones have it, that are not
+    known."""
+    pattern = str(getattr(dataset, "detections", None) or "")
+    folders = {Path(pattern.replace("{class}", kind)) for kind in dataset.classes}
+    there = [path for folder in folders if folder.is_dir() for path in folder.iterdir()]
+    named = [(path.name, "") if path.is_dir() else (path.stem, path.suffix) for path in there]
+    endings = {ending for name, ending in named if name in known}
+    return sorted({name for name, ending in named if ending in endings} - set(known))
 
 
 def load(dataset: Dataset, sequences: Sequence[str] | None = None) -> Iterator[Recording]:

@@ -117,12 +117,20 @@ def read_bytes(path: Path) -> bytes:
     except OSError as error:
         if _is_in_a_file(path):
             return _unpacked(path)
-        what = "no such file" if isinstance(error, FileNotFoundError) else str(error.strerror)
-        hint = None
-        if isinstance(error, FileNotFoundError) and path.parent.is_dir():
-            siblings = sorted(p.name for p in path.parent.iterdir())[:1000]
-            hint = nearest_hint(path.name, siblings, "file") if len(siblings) < 50 else None
-        raise InputError(what, file=path, hint=hint) from None
+        raise unreadable(path, error) from None
+
+
+def unreadable(path: Path, error: OSError) -> InputError:
+    """The error for a file that the system does not read: where it is missing, with the folder that
+    is missing or the nearest name in it."""
+    if not isinstance(error, FileNotFoundError):
+        return InputError(str(error.strerror), file=path)
+    missing = [folder for folder in path.parents if not folder.exists()]
+    if missing:
+        return InputError("no such folder", file=missing[-1])
+    siblings = sorted(p.name for p in path.parent.iterdir())[:1000]
+    hint = nearest_hint(path.name, siblings, "file") if 0 < len(siblings) < 50 else None
+    return InputError("no such file", file=path, hint=hint)
 
 
 def files_in(folder: Path, pattern: str) -> list[Path]:

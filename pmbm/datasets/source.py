@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from pmbm.datasets import open_dataset, with_origins
+from pmbm.datasets import chosen_sequences, open_dataset, with_origins
 from pmbm.datasets.files import read_text
 from pmbm.errors import InputError, nearest_hint
 from pmbm.types import Recording
@@ -77,10 +77,10 @@ def dataset_source(path: Path, document: Mapping[str, Any]) -> DatasetSource:
         options["classes"] = tuple(document["classes"])
     try:
         opened = open_dataset(document["dataset"], **options)
-        known = opened.sequences()
+        chosen = tuple(document.get("sequences", ()))
+        known = opened.sequences() if chosen else chosen_sequences(opened)
     except InputError as error:
         raise error.located(file=error.file or path) from None
-    chosen = tuple(document.get("sequences", ()))
     for name in chosen:
         if name not in known:
             raise InputError(

@@ -160,6 +160,7 @@ def _read_csv(path: Path, content: bytes, what: str) -> Any:
     if not content.endswith((b"\n", b"\r")):
         text = f"no line end at the end of the file: it may be cut short (file {path})"
         warnings.warn(InputWarning(text), stacklevel=2)
+    _refuse_other_text(path, content)
     words = arrow.dictionary(arrow.int32(), arrow.string())
     kinds = {
         "number": arrow.float64(),
@@ -186,6 +187,21 @@ def _read_csv(path: Path, content: bytes, what: str) -> Any:
                 raise _unreadable(path, error) from None
             wider = types[str(name)] == arrow.int64()
             types[str(name)] = arrow.float64() if wider else arrow.string()
+
+
+def _refuse_other_text(path: Path, content: bytes) -> None:
+    """Raise InputError for a text that is not in UTF-8, or has other separators than commas."""
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        row = content.count(b"\n", 0, error.start) + 1
+        raise InputError(
+            "not a text in UTF-8", file=path, rows=(row,), got=f"byte 0x{content[error.start]:02x}"
+        ) from None
+    names = _header(content)
+    other = next((mark for mark in ";\t|" if len(names) == 1 and mark in names[0]), None)
+    if other is not None:
+        raise InputError("columns not set apart by commas", file=path, expected="','", got=other)
 
 
 def _header(content: bytes) -> list[str]:

@@ -20,6 +20,9 @@ _LONGEST_ANSWER: Final = 1 << 26
 _SHOWN_BYTES: Final = 100
 _GRACE: Final = 1.0
 
+STDERR_IS_FREE: Final = "what is no answer goes to stderr"
+"""What to do about a line that the program printed."""
+
 _WATCHDOG: Final = ("/bin/sh", "-c", "trap '' HUP INT TERM; read -r line; kill -9 0")
 """Leads the group of processes that a program belongs to, and kills it when this process is gone,
 however it went: the other end of its standard input closes then.  Being born into the group, a
@@ -133,9 +136,12 @@ class Process:
                         self._poll.unregister(self._in)
         if unsent:
             raise self._failed("answered before it had read the whole line")
-        line, _, more = answer.partition(b"\n")
+        line, *more = answer.removesuffix(b"\n").split(b"\n")
         if more:
-            raise self._failed("answered more than one line", more)
+            # Answers are objects: another line was printed astray, wherever it stands.
+            astray = [one for one in (line, *more) if not one.startswith(b"{")]
+            error = self._failed("answered more than one line", (astray or more)[0])
+            raise error.located(hint=STDERR_IS_FREE)
         return bytes(line)
 
     def _read(self) -> bytes:

@@ -89,6 +89,8 @@ def program_named(name: str) -> Program:
         raise InputError(f"tracker '{name}': {error}", expected="exec:COMMAND") from None
     if not command:
         raise InputError(f"tracker '{name}' names no program", expected="exec:COMMAND")
+    if os.name != "posix":
+        raise InputError(f"tracker '{name}': programs are started on Linux and macOS alone")
     if shutil.which(command[0]) is None:
         there = Path(command[0]).exists()
         raise InputError(
@@ -98,6 +100,18 @@ def program_named(name: str) -> Program:
             else "build it first, and name it from the current folder",
         )
     return Program(command)
+
+
+def program_hint(name: str) -> str | None:
+    """The hint for an unknown tracker whose name is a command with a path or arguments, or one
+    behind a mistyped `exec:`."""
+    start, _, rest = name.partition(":")
+    command = rest if start.startswith("ex") else name
+    word = next(iter(command.split()), "")
+    like_one = command == rest or "/" in command or " " in command
+    if word and like_one and shutil.which(word) is not None:
+        return f"did you mean '{EXEC}{command}'?"
+    return None
 
 
 class _ProgramTracker:

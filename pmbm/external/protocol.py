@@ -12,6 +12,7 @@ import numpy as np
 import orjson
 
 from pmbm.errors import InputError, nearest_hint
+from pmbm.external.process import STDERR_IS_FREE
 from pmbm.types import Detections, Label, Site, Tracks
 
 PROTOCOL: Final = 1
@@ -151,9 +152,12 @@ def _message(line: bytes, kind: str) -> dict[str, Any]:
         # Python's json module writes NaN and Infinity, which are no JSON.
         wrong = next((word for word in ("NaN", "Infinity") if word.encode() in line), None)
         what = f"{wrong} in it" if wrong else f"not JSON: {error.msg}"
-        raise InputError(f"an answer with {what}" if wrong else f"an answer that is {what}",
-                         expected=f"one JSON object of type '{kind}'",
-                         got=line.decode(errors="replace").strip()) from None  # fmt: skip
+        raise InputError(
+            f"an answer with {what}" if wrong else f"an answer that is {what}",
+            expected=f"one JSON object of type '{kind}'",
+            got=line.decode(errors="replace").strip(),
+            hint=None if wrong else STDERR_IS_FREE,
+        ) from None
     if not isinstance(message, dict) or message.get("type") != kind:
         raise InputError(
             "an answer of another type",

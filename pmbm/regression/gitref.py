@@ -125,6 +125,11 @@ def checked_out(ref: str, repository: Path | None = None) -> Iterator[str]:
     Raises InputError where there is no repository or no such commit.
     """
     check_ref(ref)
+    if os.name != "posix":
+        raise InputError(
+            f"trackers of another commit ('{ref}') run on Linux and macOS alone",
+            hint="name a tracker, or compare with a stored baseline",
+        )
     top = repository_of(repository or Path.cwd())
     commit = git(
         top, "rev-parse", "--verify", "--quiet", _END, f"{ref}^{{commit}}", what=f"'{ref}'"

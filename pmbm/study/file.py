@@ -108,6 +108,10 @@ def _study(form: StudyForm, file: Path, resolve: Resolve) -> Study:
     _each_once("trackers", form.trackers)
     design = _design(form.sweep)
     _check_tracker_keys(form, design)
+    candidate = None if form.gate is None else form.gate.candidate
+    if candidate is not None and candidate not in form.trackers:
+        hint = nearest_hint(candidate, form.trackers, "tracker")
+        raise InputError(f"no tracker '{candidate}'", field="gate.candidate", hint=hint)
     cells = tuple(
         Cell(
             scenario=name,

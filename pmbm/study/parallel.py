@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
+from contextlib import contextmanager
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -53,6 +54,18 @@ def process_pool(
         initargs=(initializer, *initargs),
     )
     return pool
+
+
+@contextmanager
+def workers(jobs: int) -> Iterator[Executor]:
+    """A `process_pool` whose workers are ended at once where anything is raised."""
+    pool = process_pool(jobs)
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
+        raise
+    pool.shutdown(wait=True)
 
 
 def _start_resource_trackers() -> None:
@@ -108,22 +121,17 @@ def run_trials(
         except KeyboardInterrupt:
             raise TrialsInterrupted(results) from None
         return results
-    pool = process_pool(min(jobs, trials))
+    futures = []
     try:
-        futures = [
-            pool.submit(run_trial, source, trackers, seed, trial, metrics)
-            for trial in range(trials)
-        ]
-        for done, future in enumerate(as_completed(futures), start=1):
-            future.result()
-            tell(done, trials)
-        results = [future.result() for future in futures]
+        with workers(min(jobs, trials)) as pool:
+            futures = [
+                pool.submit(run_trial, source, trackers, seed, trial, metrics)
+                for trial in range(trials)
+            ]
+            for done, future in enumerate(as_completed(futures), start=1):
+                future.result()
+                tell(done, trials)
     except KeyboardInterrupt:
-        results = [f.result() for f in futures if f.done() and f.exception() is None]
-        pool.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
-        raise TrialsInterrupted(results) from None
-    except BaseException:
-        pool.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
-        raise
-    pool.shutdown(wait=True)
-    return results
+        done_ones = [f.result() for f in futures if f.done() and f.exception() is None]
+        raise TrialsInterrupted(done_ones) from None
+    return [future.result() for future in futures]

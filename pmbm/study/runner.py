@@ -12,6 +12,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from pmbm.study.parallel import process_pool
 from pmbm.study.store import Store, StoreRow, open_store
 from pmbm.study.study import Study
@@ -234,4 +236,4 @@ def _processes(jobs: int, memory: float | None) -> Iterator[Executor]:
 
 
 def _physical_megabytes() -> float:
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
+    return float(psutil.virtual_memory().total / 1e6)

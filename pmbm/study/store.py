@@ -8,11 +8,11 @@ whose hash does not fit is named and run again, never reported.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
 import sqlite3
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -362,6 +362,20 @@ def _first_difference(old: Any, new: Any, place: str = "") -> str:
     return place
 
 
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(descriptor: int) -> None:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    def _lock(descriptor: int) -> None:
+        """Lock a file that no other process has locked; OSError where one has."""
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
 @contextmanager
 def _only_driver(file: Path) -> Iterator[None]:
     """Hold the lock beside a store; the kernel lets go of it when the driver dies."""
@@ -371,7 +385,7 @@ def _only_driver(file: Path) -> Iterator[None]:
         raise InputError(f"cannot write a store there: {error.strerror}", file=file) from error
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _lock(descriptor)
         except OSError as error:
             raise InputError(
                 "another driver is running this study",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,7 +18,7 @@ from pmbm.study.code import code_version
 from pmbm.study.configured import ConfiguredTracker
 from pmbm.study.sources import NamedSource, Source
 from pmbm.study.trial import TrialResult, run_trial
-from pmbm.types import digest_of
+from pmbm.types import Site, digest_of
 from pmbm.wording import counted
 
 Resolve = Callable[[str, Mapping[str, Any]], Source]
@@ -76,11 +77,18 @@ class Study:
     def __post_init__(self) -> None:
         if not self.cells:
             raise InputError("a study of nothing", field="scenarios", expected="at least one")
+        if os.name != "posix" and (self.time_limit or self.memory_limit):
+            raise InputError("limits of a trial are kept on Linux and macOS alone", field="limits")
         for name in self.metrics or ():
             definition(name)
         for cell in self.cells:
-            for tracker in cell.trackers.values():
-                tracker.bound()
+            for name, tracker in cell.trackers.items():
+                try:
+                    tracker.bound()
+                    check_sensors(tracker, cell.source)
+                except InputError as error:
+                    of_it = None if error.field is None else f"tracker.{name}.{error.field}"
+                    raise error.located(field=of_it) from None
 
     def __len__(self) -> int:
         return self.trials * len(self.cells)
@@ -148,6 +156,17 @@ class Study:
     def hash(self) -> str:
         """SHA-256 of `document`."""
         return hashlib.sha256(canonical(self.document).encode()).hexdigest()
+
+
+def check_sensors(tracker: ConfiguredTracker, source: Source) -> None:
+    """Raise InputError where a tracker has parameters of a sensor that the source does not have, as
+    far as the source says which it has (`mounted`)."""
+    mounted = getattr(source, "mounted", ())
+    if mounted and any(key.split(".")[0] == "sensors" for key, _ in tracker.parameters):
+        try:
+            tracker(Site(sensors=tuple(mounted)))
+        except InputError as error:
+            raise error.located(field="sensors") from None
 
 
 def cell_label(scenario: str, point: Mapping[str, Any]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import sys
 import threading
 import time
 import traceback
@@ -101,7 +102,7 @@ def prepare(driver: int, memory_limit: float | None) -> None:
 
 
 def limit_memory(megabytes: float | None) -> None:
-    if megabytes is not None:
+    if megabytes is not None and sys.platform != "win32":
         import resource
 
         limit = int(megabytes * 1e6)
@@ -117,17 +118,18 @@ def _die_with(driver: int) -> None:
 @contextmanager
 def _alarm(seconds: float | None) -> Iterator[None]:
     """Raise TrialTimeout after so many seconds, where the thread can be interrupted at all."""
-    if seconds is None or threading.current_thread() is not threading.main_thread():
+    here = threading.current_thread() is threading.main_thread()
+    if sys.platform == "win32" or seconds is None or not here:
         yield
-        return
+    else:
 
-    def ring(_signal: int, _frame: Any) -> None:
-        raise TrialTimeout
+        def ring(_signal: int, _frame: Any) -> None:
+            raise TrialTimeout
 
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        before = signal.signal(signal.SIGALRM, ring)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, before)

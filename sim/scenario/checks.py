@@ -36,6 +36,13 @@ def check_clock(form: schema.ScenarioForm, file: str | None) -> None:
             field="scene.sensor.pose",
             hint="leave out one of scene.ego and scene.sensor.pose",
         )
+    if isinstance(scene, schema.RecordedScene) and not (scene.ego or scene.sensor.pose):
+        raise InputError(
+            "nothing carries the sensor",
+            file=file,
+            field="scene.ego",
+            expected="the id of a vehicle, or sensor = { pose = [x, y, yaw_deg] }",
+        )
     if isinstance(scene, schema.RoadScene):
         _check_roads(scene, file)
     for name, sensor in form.sensors.items():
@@ -111,7 +118,8 @@ def check_in_range(scene: Scene, form: schema.ScenarioForm, file: str | None) ->
     placed: list[schema.Track | schema.Actor] = [*world.tracks.values()]
     if isinstance(world, schema.RoadScene):
         placed += world.actors.values()
-    if any(map(len, scene.truth)) or not any(each.count for each in placed):
+    recorded = isinstance(world, schema.RecordedScene)
+    if any(map(len, scene.truth)) or not (recorded or any(each.count for each in placed)):
         return
     where = f" (file {file})" if file else ""
     warnings.warn(

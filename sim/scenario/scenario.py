@@ -142,6 +142,11 @@ class Scenario:
         table = self._document_at(self._level(level)).get("detector", {})
         return self._profile(table, "detector")
 
+    @property
+    def mounted(self) -> tuple[MountedSensor, ...]:
+        """The sensors as trackers are told of them, where the scenario has several."""
+        return tuple(sensor.mounted for sensor in self.sensors())
+
     def sensors(self, level: Any = None) -> tuple[SimulatedSensor, ...]:
         """The sensors at a level, where the scenario has several; empty where it has one."""
         document = self._document_at(self._level(level))

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pmbm.datasets.files import unreadable
 from pmbm.errors import InputError, nearest_hint
 from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
@@ -56,7 +57,7 @@ def _state(path: Path) -> tuple[int, int]:
     try:
         found = path.stat()
     except OSError as error:
-        raise InputError(f"cannot read it: {error.strerror}", file=path) from None
+        raise unreadable(path, error) from None
     return found.st_mtime_ns, found.st_size
 
 

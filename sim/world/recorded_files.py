@@ -50,7 +50,7 @@ def read(path: Path, types: Sequence[Path], classes: Classes) -> tuple[RecordedO
     """The objects of a file: a table by its name (.csv, .parquet), else by its first element."""
     if path.suffix in (".csv", ".parquet"):
         return _from_table(path, classes)
-    root = _root(path)
+    root = _root(path) if path.suffix in (".xml", ".gz") else path.suffix
     if root == "fcd-export":
         return _from_fcd(path, types, classes)
     if root == "commonRoad":
@@ -91,7 +91,7 @@ class _Rows:
 
 
 def _from_table(path: Path, classes: Classes) -> tuple[RecordedObject, ...]:
-    """A table of truth in the world, as docs/tables.md has it; an object's size is its median."""
+    """A table of truth in the world (docs/guide/tables.md); an object's size is its median."""
     from pmbm.datasets.table_files import located, read_table
     from pmbm.tables.reading import parts
 

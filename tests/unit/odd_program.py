@@ -42,6 +42,8 @@ def go_wrong(how, answer):
             os.write(1, b"0" * 65536)
     elif how == "twice":
         os.write(1, 2 * (json.dumps(answer) + "\n").encode())
+    elif how == "astray":
+        os.write(1, f"42 boxes left\n{json.dumps(answer)}\n".encode())
     elif how == "behind":
         tell({**answer, "step": answer["step"] - 1})
     elif how == "nan":

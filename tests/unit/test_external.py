@@ -148,6 +148,7 @@ WRONG = {
     "close": "step 2: closed its output",
     "flood": "step 2: wrote a line of more than 67108864 bytes",
     "twice": "step 2: answered more than one line",
+    "astray": "step 2: answered more than one line (frame 2): got '42 boxes left'; what",
     "behind": "step 2: an answer out of order (frame 2, field step): expected 2, got 1",
     "nan": "step 2: an answer with NaN in it",
     "null": "step 2: not a number (frame 2, field y, rows 0): expected a finite number, got 'null'",
@@ -218,6 +219,12 @@ def test_a_tracker_whose_program_has_ended_says_so():
 )
 def test_what_cannot_be_started_is_found_at_the_door(name, problem):
     with pytest.raises(InputError, match=problem):
+        tracker_factory(name)
+
+
+@pytest.mark.parametrize("name", ["exe:/bin/sh run", "/bin/sh run"])
+def test_a_command_without_exec_is_recognised(name):
+    with pytest.raises(InputError, match="did you mean 'exec:/bin/sh run'"):
         tracker_factory(name)
 
 

@@ -8,9 +8,11 @@ import sys
 import threading
 import time
 
+import psutil
 import pytest
 
 from pmbm.cli import INTERRUPTED
+from pmbm.study.parallel import workers
 from pmbm.tune import Range, tune
 
 SCENE = """
@@ -61,6 +63,21 @@ def interrupted(folder, *arguments):
     said, _ = process.communicate()
     killer.cancel()
     return process.returncode, said
+
+
+def test_workers_are_ended_where_there_is_no_pgrep(monkeypatch):
+    """Which is what loky ends them by without psutil (findings/loky_kill_without_psutil.sh)."""
+    monkeypatch.setenv("PATH", "/nonexistent")
+    found = []
+
+    def interrupted_run():
+        with workers(1) as pool:
+            found.append(pool.submit(os.getpid).result())
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_run()
+    assert not psutil.pid_exists(found[0])
 
 
 @pytest.mark.slow

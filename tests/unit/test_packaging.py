@@ -71,3 +71,16 @@ def test_without_a_compiler_the_wheel_is_pure_python(tmp_path, environment):
 
 def test_the_kernel_can_be_required(tmp_path):
     assert build(tmp_path, **NO_COMPILER, PMBM_REQUIRE_NATIVE="1") is None
+
+
+def test_nothing_is_called_that_windows_does_not_have():
+    """But by programs as trackers, which are refused there."""
+    checked = subprocess.run(
+        [sys.executable, "-m", "mypy", "--platform", "win32", "--cache-dir", os.devnull],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    wrong = [line for line in checked.stdout.splitlines() if ": error: " in line]
+    assert checked.returncode in (0, 1), checked.stdout + checked.stderr
+    assert not [line for line in wrong if not line.startswith("pmbm/external/process.py")]

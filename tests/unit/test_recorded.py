@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 import os
+import re
 import warnings
 from pathlib import Path
 
@@ -34,6 +35,8 @@ def scenario(tmp_path, file, text=None, more="", duration=1.0, rate=10):
     if text is not None:
         (tmp_path / file).write_text(text)
     path = tmp_path / "own_log.toml"
+    if not re.search(r"^(ego|sensor)\b", more, re.MULTILINE):
+        more = "sensor = { pose = [0.0, 0.0, 0.0] }\n" + more
     path.write_text(HEAD.format(file=file, duration=duration, rate=rate) + more)
     return load_scenario(path)
 
@@ -101,7 +104,7 @@ class TestResampling:
             )
             rate = round(1 / min(step, 0.1))
             duration = (count - 1) * step
-            sensor = "sensor = { max_range = 1000.0 }\n"
+            sensor = "sensor = { pose = [0.0, 0.0, 0.0], max_range = 1000.0 }\n"
             made = scene(Path(folder), "log.csv", text, more=sensor, duration=duration, rate=rate)
         every = max(round(step * rate), 1)
         for k, (x, y, a) in enumerate(rows):
@@ -372,7 +375,7 @@ class TestAsAnyScenario:
         assert pmbm("study", study, "--store", tmp_path / "s.sqlite") == 0
 
     def test_a_file_that_is_not_there(self, tmp_path):
-        with pytest.raises(InputError, match="cannot read it") as error:
+        with pytest.raises(InputError, match="no such file") as error:
             scene(tmp_path, "no.csv")
         assert error.value.file == str(tmp_path / "no.csv")
 
@@ -390,3 +393,36 @@ def test_what_ships(name):
     assert hidden > 20
     speed = np.concatenate([np.hypot(*frame.velocity.T) for frame in made.truth])
     assert speed.max() < 20
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("log.txt", b"time,id,x,y\n0,1,1,1\n", r"expected .csv or .parquet, .*got '.txt'"),
+        ("log.csv", b"time;id;x;y\n0;1;1;1\n", "expected ',', got ';'"),
+        ("log.csv", b"time,id,x,y,class\n0,1,1,1,v\xe9lo\n", "UTF-8 .*rows 2.*0xe9"),
+    ],
+)
+def test_a_file_of_another_kind_is_told_in_our_words(tmp_path, name, content, said):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=said):
+        scene(tmp_path, name)
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"no such folder \(file .*/logs\)"):
+        scene(tmp_path, "logs/log.csv")
+
+
+def test_somebody_carries_the_sensor(tmp_path):
+    (tmp_path / "log.csv").write_text(TABLE)
+    path = tmp_path / "own_log.toml"
+    path.write_text(HEAD.format(file="log.csv", duration=1.0, rate=10))
+    with pytest.raises(InputError, match=r"carries the sensor .*ego.*pose = "):
+        load_scenario(path)
+
+
+def test_a_mast_that_sees_nothing_is_said(tmp_path):
+    far = "sensor = { pose = [5000.0, 0.0, 0.0] }\n"
+    with pytest.warns(InputWarning, match="no object ever comes within"):
+        scene(tmp_path, "log.csv", TABLE, more=far)

@@ -54,7 +54,7 @@ def write(tmp_path, text, name="small.toml"):
         ("yaw_deg = 90.0", "yaw = 1.57", ["scene.tracks.walker.yaw", "'yaw_deg'"]),
         ("max_range", "max_rnage", ["scene.sensor.max_rnage", "'max_range'"]),
         ("start = [10.0, 2.0]", "strat = [10.0, 2.0]", ["scene.tracks.walker.strat", "'start'"]),
-        ("duration = 2.0", "duration = -2.0", ["duration", "greater than 0", "-2.0"]),
+        ("duration = 2.0", "duration = -2.0", ["duration", "above 0", "-2.0"]),
         ("duration = 2.0", 'duration = "long"', ["duration", "number", "'long'"]),
         ("duration = 2.0", "duration = nan", ["duration", "finite"]),
         ("duration = 2.0", "duration = 2.0\nrate = 7", ["rate", "one of 1, 2, 4, 5, 10, 20", "7"]),

@@ -427,7 +427,7 @@ BAD = [
     ("truth", "time,id,x\n0,1,1\n", "y", [], "a column is missing"),
     ("truth", "id,x,y\n1,1,1\n", "time", [], "time or frame"),
     ("truth", "time,id,x,y\n0,1,1\n", None, [2], "expected 4, as there are columns, got 3"),
-    ("truth", "time;id;x;y\n0;1;1;1\n", "time;id;x;y", [], "unknown column"),
+    ("truth", "time;id;x;y\n0;1;1;1\n", None, [], "set apart by commas"),
     ("truth", "time,id,x,y\n0,1,1,1\n0,2,1,1\n0,1,2,2\n", "id", [2, 4], "twice in a frame"),
     ("truth", "time,id,x,y\n0,,1,1\n", "id", [2], "an empty cell"),
     ("truth", "time,id,x,y,class\n0,1,1,1,carr\n", "class", [2], "did you mean 'car'?"),

@@ -199,3 +199,32 @@ def test_there_are_presets():
     assert preset("kitti", "no_such_tracker") is None
     assert preset("kitti", "../kitti_pmbm") is None
     assert preset("kitti", "pmbm", "pvrcnn") == shipped_detectors("kitti", "pmbm")["pvrcnn"]
+
+
+@pytest.mark.filterwarnings("always")
+def test_detections_of_a_sequence_that_is_not_there_are_said(folder, capsys):
+    (folder / "dets_Car" / "0007.txt").write_text("")
+    (folder / "dets_Car" / "notes.md").write_text("")
+    assert sorted(track(folder, "--tracker", "argoverse")) == ["0000.txt", "0001.txt"]
+    said = r"pmbm: warning: detections of 1 sequence that kitti does not have .*: 0007; expected"
+    assert re.match(said, capsys.readouterr().err)
+    # Who names sequences has chosen.
+    track(folder, "--tracker", "argoverse", "--sequences", "0000")
+    assert capsys.readouterr().err == ""
+
+
+def test_parameters_on_the_command_line_go_over_the_files(folder, capsys):
+    config = folder / "config.toml"
+    config.write_text("min_hits = 5\n[Car]\nmin_hits = 7\n")
+    options = ("--tracker", "argoverse", "--config", config, "--sequences", "0000")
+    files = track(folder, *options, "--set", "min_hits=3")
+    assert next(line.split()[0] for line in files["0000.txt"].splitlines()) == "2"
+    capsys.readouterr()
+    message = fails(folder, capsys, *options, "--set", "min_hts=3")
+    assert "did you mean 'min_hits'" in message
+    assert "config.toml" not in message
+
+
+def test_without_a_terminal_no_bar_is_drawn(folder, capsys):
+    track(folder, "--tracker", "argoverse")
+    assert capsys.readouterr().err == ""

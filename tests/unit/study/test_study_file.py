@@ -1,6 +1,7 @@
 """Study files, the trials they stand for, and the hash that identifies them."""
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from study_worlds import Convoy, Echo
 
+from pmbm.cli import main, sources
 from pmbm.errors import InputError
 from pmbm.filter import PMBMTracker
 from pmbm.study import ConfiguredTracker
@@ -176,7 +178,7 @@ def test_the_hash_is_the_same_in_another_process(tmp_path):
         (SMALL + "[gate]\nmargn = 1.0", "gate.margn.*did you mean 'margin'"),
         (SMALL + "[sweep]\ngird = {}", "sweep.gird.*did you mean 'grid'"),
         (SMALL.replace("3", '"3"'), "field trials.*expected a whole number.*got '3'"),
-        (SMALL.replace("3", "0"), "field trials.*greater than or equal to 1"),
+        (SMALL.replace("3", "0"), "field trials.*at least 1"),
         (SMALL.replace("convoy", "convey"), "no scenario 'convey'.*did you mean 'convoy'"),
         (SMALL.replace("study_worlds:Echo", "pmbn"), "no tracker 'pmbn'.*did you mean 'pmbm'"),
         (SMALL + 'metrics = ["opsa"]', "opsa.*did you mean 'ospa'"),
@@ -292,3 +294,50 @@ def test_a_table_of_the_default_kind_keeps_what_lies_under_it():
     }
     every = {"scores": {"kind": "every"}}
     assert merged(under, every, config)["scores"] == every["scores"]
+
+
+@pytest.mark.parametrize(
+    ("gate", "said"),
+    [
+        ('metric = "osp"', r"field gate.metric\); did you mean 'ospa'"),
+        ('metric = "mota"', r"no bounds in a trial \(.*field gate.metric"),
+        ('metric = "ospa"\nmargin = 99.0', r"field gate.margin.*range"),
+        ('metric = "ospa"\nmargin = 1.0\nalpha = 0.5', "field gate.alpha"),
+        ('candidate = "pmb"', r"field gate.candidate\); did you mean 'pmbm'"),
+    ],
+)
+def test_a_study_that_no_gate_could_judge_is_refused_before_it_runs(tmp_path, capsys, gate, said):
+    file = written(tmp_path, f'scenarios = ["crossing"]\n[gate]\n{gate}\n')
+    with pytest.raises(SystemExit):
+        main(["study", str(file)])
+    assert re.search(said, capsys.readouterr().err)
+    assert not file.with_suffix(".sqlite").exists()
+
+
+def test_parameters_of_a_sensor_that_is_not_there_are_refused(tmp_path):
+    text = """
+scenarios = ["lidar_radar"]
+[tracker.pmbm]
+factory = "pmbm"
+parameters = { "sensors.SENSOR.clutter_rate" = 3.0 }
+"""
+    load_study(written(tmp_path, text.replace("SENSOR", "radar")), sources.resolve)
+    wrong = written(tmp_path, text.replace("SENSOR", "radra"))
+    with pytest.raises(InputError, match=r"tracker.pmbm.sensors\).*did you mean 'radar'"):
+        load_study(wrong, sources.resolve)
+
+
+@pytest.mark.parametrize(
+    ("swept", "said"),
+    [
+        ('"detector.cluter.rate" = [1.0]', r"field sweep: detector.cluter\); did you mean"),
+        ('"duration" = [-1.0]', "field sweep: duration.*above 0"),
+        ('"level" = [99.0]', "field sweep: level"),
+        ('"tracker.pmbm.reduction.gat" = [9.0]', "field tracker.pmbm.reduction.gat"),
+    ],
+)
+def test_what_is_wrong_with_a_sweep_is_found_in_the_study_file(tmp_path, swept, said):
+    file = written(tmp_path, f'scenarios = ["crossing"]\n[sweep.grid]\n{swept}\n')
+    with pytest.raises(InputError, match=said) as caught:
+        load_study(file, sources.resolve)
+    assert caught.value.file == str(file)
