@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from pmbm.arrays import FloatArray
 from pmbm.durable import replace_text
 from pmbm.errors import InputError, nearest_hint
+from pmbm.kernels import twin
 from pmbm.types import Detections, Label
 from pmbm.validation import Checker, equal_fields, hash_of_fields
 
@@ -93,11 +94,14 @@ class ScoreModel:
 
     def probability(self, score: ArrayLike) -> FloatArray:
         """(N,) calibrated P(true | score)."""
-        return _precise_logistic(self._log_odds(score))
+        given = np.asarray(score, dtype=np.float64)
+        return _precise_logistic(_read_off(given, self.knot, self.log_odds, 0.0, np.inf))
 
-    def log_likelihood_ratio(self, score: ArrayLike) -> FloatArray:
-        """(N,) log p(score | object) / p(score | clutter): the log-odds less those of the base."""
-        return self._log_odds(score) - self._base_log_odds
+    def log_likelihood_ratio(self, score: ArrayLike, within: float = np.inf) -> FloatArray:
+        """(N,) log p(score | object) / p(score | clutter): the log-odds less those of the base;
+        beyond `within`, either way, a score says no more."""
+        given = np.asarray(score, dtype=np.float64)
+        return _read_off(given, self.knot, self.log_odds, self._base_log_odds, within)
 
     @cached_property
     def _base_log_odds(self) -> float:
@@ -109,9 +113,6 @@ class ScoreModel:
         The logistic of the log likelihood ratio.
         """
         return _precise_logistic(self.log_likelihood_ratio(score))
-
-    def _log_odds(self, score: ArrayLike) -> FloatArray:
-        return np.interp(np.asarray(score, dtype=np.float64), self.knot, self.log_odds)
 
     @staticmethod
     @cache
@@ -183,6 +184,14 @@ class ScoreModel:
             return ScoreModel(**values)
         except InputError as error:
             raise error.located(file=path) from None
+
+
+@twin("read_off")
+def _read_off(
+    x: FloatArray, knot: FloatArray, value: FloatArray, base: float, within: float
+) -> FloatArray:
+    """A curve's height over x (N,) less its base, from -within to within."""
+    return np.clip(np.interp(x, knot, value) - base, -within, within)
 
 
 def confidence_in(detections: Detections, model: ScoreModel | None) -> FloatArray:

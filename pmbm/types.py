@@ -770,10 +770,10 @@ def unchecked(kind: type[_Table], **values: Any) -> _Table:
     read-only.  For results made in an inner loop, where the checks would cost more than the result.
     """
     value = object.__new__(kind)
-    for name, content in values.items():
+    for content in values.values():
         if isinstance(content, np.ndarray):
-            content.flags.writeable = False
-        object.__setattr__(value, name, content)
+            content.setflags(write=False)
+    value.__dict__.update(values)
     return value
 
 

@@ -6,6 +6,7 @@ The plain version is `advance` of `pmbm.filter.tracker`, box by box.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
@@ -16,7 +17,7 @@ from pmbm.filter.advanced import Advanced
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Globals, Index, Locals, Marks, Mixture
 from pmbm.filter.estimation import Marginals
-from pmbm.filter.frame import Frame, split_by_view, undetected_in
+from pmbm.filter.frame import Frame, detection_in, split_by_view, undetected_in
 from pmbm.filter.hypotheses import branching, clusters
 from pmbm.filter.hypotheses.weights import log_of
 from pmbm.filter.identity.recycling import MOST_OF_ONE
@@ -27,7 +28,6 @@ from pmbm.filter.models.detection_by_sensor import DetectionBySensor
 from pmbm.filter.models.protocols import Detection
 from pmbm.filter.models.sensor import LEAST_VISIBLE_TO_BE_SEEN
 from pmbm.filter.models.view import View
-from pmbm.filter.prediction import Transition
 from pmbm.filter.reduction import ALIKE, AS_HEAVY, FEW, ReductionStats, with_more_undetected
 from pmbm.types import FloatArray, Site
 
@@ -80,8 +80,8 @@ def advance(
         pairs,
         seconds,
     ) = native.step(
-        _rules(model, site, given.sensor),
-        _interval(frame.transition, detection),
+        _made(_rules, model, site, given.sensor),
+        _made(_interval, model, site, given.sensor, frame.dt),
         undetected.columns(),
         births,
         (
@@ -149,25 +149,26 @@ def _undetected(
     return predicted, (), dropped
 
 
-_MADE: dict[tuple[int, int, str], tuple[PMBMConfig, Site, tuple[Any, ...]]] = {}
-"""Rules that were made, by what of; that is kept beside them, so that its id names it alone."""
-_MOST_MADE = 64
+_MADE: dict[tuple[Any, ...], tuple[PMBMConfig, Site, tuple[Any, ...]]] = {}
+"""What was made, by what of; that is kept beside it, so that its id names it alone."""
+_MOST_MADE = 256
 
 
-def _rules(model: PMBMConfig, site: Site, name: str) -> tuple[Any, ...]:
-    """What the kernel needs of the model and the sensor of that name, the same in every step.
-
-    Made once: by identity, since to compare two models, or hash one, takes longer than a step.
-    """
-    key = id(model), id(site), name
+def _made(
+    make: Callable[..., tuple[Any, ...]], model: PMBMConfig, site: Site, *more: Any
+) -> tuple[Any, ...]:
+    """What is the same in step after step, made once: by identity, since to compare two models, or
+    hash one, takes longer than a step."""
+    key = make, id(model), id(site), *more
     if key not in _MADE:
         if len(_MADE) >= _MOST_MADE:
             _MADE.clear()
-        _MADE[key] = model, site, _make_rules(model, site, name)
+        _MADE[key] = model, site, make(model, site, *more)
     return _MADE[key][2]
 
 
-def _make_rules(model: PMBMConfig, site: Site, name: str) -> tuple[Any, ...]:
+def _rules(model: PMBMConfig, site: Site, name: str) -> tuple[Any, ...]:
+    """What the kernel needs of the model and the sensor of that name."""
     sensor, limits = model.sensor_named(name), model.reduction
     view = View.of(site.sensor(name) or site, np.zeros(3))
     observed = sensor.over(view, place_by_place=model.birth.place_by_place)
@@ -217,15 +218,15 @@ def _polygons(site: Site) -> tuple[Index, FloatArray]:
     return start, corners
 
 
-def _interval(transition: Transition, detection: Detection) -> tuple[Any, ...]:
-    """What became of objects, and of what is remembered of them, since the frame before."""
+def _interval(model: PMBMConfig, site: Site, name: str, dt: float) -> tuple[Any, ...]:
+    """What becomes of objects, and of what sensors remember of them, in that time."""
+    survival = model.survival.over(dt)
     return (
-        transition.F,
-        transition.Q,
-        transition.scores.fade(transition.dt),
-        transition.survival,
-        log_of(transition.survival),
-        tuple(_law(model, transition.dt) for model in _models(detection)),
+        *model.motion.transition(dt),
+        model.scores.fade(dt),
+        survival,
+        log_of(survival),
+        tuple(_law(one, dt) for one in _models(detection_in(model, site, name))),
     )
 
 

@@ -41,12 +41,17 @@ class Marginals:
     def objects(self, object_share: FloatArray) -> FloatArray:
         """(T,) the probability to exist and be an object, given P(object) (K,) of a source of each
         class."""
-        return np.minimum(self.of_class @ object_share, self.existence)
+        return _objects(self.of_class, self.existence, object_share)
 
     def shown_as(self, local: Locals) -> BoolArray:
         """(H,) whether each local hypothesis has its track as `best` has it."""
         shown: BoolArray = local.newest == local.newest[self.best][local.track]
         return shown
+
+
+@twin("objects")
+def _objects(of_class: FloatArray, existence: FloatArray, share: FloatArray) -> FloatArray:
+    return np.minimum(of_class @ share, existence)
 
 
 def in_view(density: Density, view: View) -> tuple[Marginals, FloatArray]:

@@ -86,10 +86,7 @@ def form_frame(
     pose, mounted = detections.sensor_pose, site.sensor(detections.sensor)
     region = View.of(site, pose if mounted is None else mounted.carrier_of(pose))
     sensor = model.sensor_named(detections.sensor)
-    detection = sensor.detection
-    if mounted is not None and len(site.sensors) > 1:
-        models = tuple(model.sensor_named(one.name).detection for one in site.sensors)
-        detection = DetectionBySensor(models, site.sensors.index(mounted))
+    detection = detection_in(model, site, detections.sensor)
     scored = _read(model, sensor, detections, scene)
     births, memory = model.birth.births(
         site, region, None if last is None else dt, model.survival, births_memory
@@ -112,6 +109,14 @@ def form_frame(
         births=births,
         births_memory=memory,
     )
+
+
+def detection_in(model: PMBMConfig, site: Site, name: str) -> Detection:
+    """P_D of the sensor of that name, beside what the site's others remember."""
+    if len(site.sensors) < 2:
+        return model.sensor_named(name).detection
+    models = tuple(model.sensor_named(one.name).detection for one in site.sensors)
+    return DetectionBySensor(models, [one.name for one in site.sensors].index(name))
 
 
 def _read(

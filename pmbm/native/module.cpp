@@ -192,6 +192,46 @@ nb::tuple reported(Input<std::int64_t> track_id, Input<std::int64_t> best, Input
                        matrices_of<4>(std::move(covariance))));
 }
 
+Output<double> read_off(Input<double> x, Input<double> knot, Input<double> value, double base,
+                        double within) {
+    const auto K = knot.size();
+    const double *at = knot.data(), *height = value.data();
+    std::vector<double> found;
+    found.reserve(x.size());
+    for (std::size_t i = 0; i < x.size(); ++i) {
+        const double here = x.data()[i];
+        const auto next = static_cast<std::size_t>(std::upper_bound(at, at + K, here) - at);
+        double told = height[next ? next - 1 : 0];
+        if (next && next < K) {
+            const double slope = (height[next] - told) / (at[next] - at[next - 1]);
+            told = slope * (here - at[next - 1]) + told;
+        }
+        found.push_back(std::min(std::max(told - base, -within), within));
+    }
+    return hand_over(std::move(found));
+}
+
+// (T,) the probability of being an object, of existence (T,) and that of each class (T,K).
+Output<double> objects(Input<double> of_class, Input<double> existence, Input<double> share) {
+    const auto T = existence.size(), K = share.size();
+    std::vector<double> found(T, 0.0);
+    for (std::size_t t = 0; t < T; ++t) {
+        for (std::size_t k = 0; k < K; ++k) found[t] += of_class.data()[K * t + k] * share.data()[k];
+        found[t] = std::min(found[t], existence.data()[t]);
+    }
+    return hand_over(std::move(found));
+}
+
+bool known_as_they_are(Input<std::int64_t> ids, Input<std::int64_t> reported,
+                       Input<std::int64_t> candidate) {
+    const auto among = [](std::int64_t id, const Input<std::int64_t>& rising) {
+        return std::binary_search(rising.data(), rising.data() + rising.size(), id);
+    };
+    return std::all_of(ids.data(), ids.data() + ids.size(), [&](std::int64_t id) {
+        return among(id, reported) && !among(id, candidate);
+    });
+}
+
 Output<double> level_evidence(Input<double> log_odds, Input<double> level, double scatter,
                               Input<double> share, bool worth_their_odds) {
     const auto M = log_odds.size(), L = level.size();
@@ -759,6 +799,9 @@ NB_MODULE(_native, m) {
     m.def("missed", &missed);
     m.def("detectable_if_missed", &detectable_if_missed);
     m.def("level_evidence", &level_evidence);
+    m.def("read_off", &read_off);
+    m.def("objects", &objects);
+    m.def("known_as_they_are", &known_as_they_are);
     m.def("suppress_overlaps", &suppress_overlaps);
     m.def("reported", &reported);
     m.def("used", &used);

@@ -337,8 +337,8 @@ FILTER_PLANTS = [
     _filter(
         "persistent clutter is reported",
         "estimation",
-        "np.minimum(self.of_class @ object_share, self.existence)",
-        "self.existence",
+        "np.minimum(of_class @ share, existence)",
+        "existence",
         by="tests/unit/test_filter_marks.py::test_classes_follow_bayes_rule",
     ),
     _filter(

@@ -11,7 +11,7 @@ import pytest
 from filter_problems import KEEP_ALL, bernoullis, plain_sensor, scan_of
 
 from pmbm import Detections, PMBMConfig, PMBMTracker, Site, kernels
-from pmbm.filter import DetectionChain
+from pmbm.filter import DetectionChain, LastingScores
 from pmbm.filter.association import associate
 from pmbm.filter.density import Density, Globals, Marks, Mixture, RecycledFrom, starts
 from pmbm.filter.estimation import suppress_overlaps
@@ -25,6 +25,7 @@ from pmbm.filter.models.rays import box_rays
 from pmbm.filter.models.undetected_map import reduce_map
 from pmbm.filter.models.view import View
 from pmbm.filter.reduction import merge_mixture, pruned, reduce
+from pmbm.score import ScoreModel
 from pmbm.types import ABSENT
 
 native = pytest.importorskip("pmbm._native", reason="installed without a compiler")
@@ -150,6 +151,38 @@ def test_reports_at_one_place_as_plain(monkeypatch):
         assert fast.tolist() == plain.tolist()
         held_back += n - len(plain)
     assert held_back > 300
+
+
+def test_scores_say_the_same(monkeypatch):
+    """At the knots, between and beyond them; of one knot; levels near and far."""
+    random = np.random.default_rng(8)
+    curve = ScoreModel(
+        knot=np.array([-1.0, 0.2, 0.21, 3.0]), log_odds=np.array([-2, 0.5, 0.6, 4]), base_rate=0.3
+    )
+    score = np.concatenate([curve.knot, random.uniform(-2, 4, 100)])
+    for model in (curve, ScoreModel.uninformative(), ScoreModel.trusting()):
+        for within in (np.inf, 1.5):
+            fast, plain = on_both(
+                monkeypatch, partial(model.log_likelihood_ratio, score, within=within)
+            )
+            np.testing.assert_allclose(fast, plain, rtol=1e-13, atol=1e-15)
+    for levels in (LastingScores(), replace(LastingScores(), clutter=np.array([0.5, 0.5, 0.0]))):
+        fast, plain = on_both(monkeypatch, partial(levels.evidence, 9 * score))
+        np.testing.assert_allclose(fast, plain, rtol=1e-12)
+
+
+def test_ids_that_go_on_as_plain():
+    random = np.random.default_rng(9)
+    answers = []
+    for _ in range(200):
+        ids, reported, candidate = (
+            np.unique(random.integers(0, 12, random.integers(0, n))) for n in (4, 12, 6)
+        )
+        ids = random.permutation(ids)
+        plain = kernels.TWINS["known_as_they_are"](ids, reported, candidate)
+        assert native.known_as_they_are(ids, reported, candidate) == plain
+        answers.append(plain)
+    assert 20 < sum(answers) < 180
 
 
 def test_misses_say_the_same(monkeypatch):

@@ -128,20 +128,19 @@ def check_steps(config, recording, steps):
         dropped = plain.removed.undetected_dropped
         assert fast.removed.undetected_dropped == pytest.approx(dropped, rel=1e-9, abs=1e-12)
         assert replace(fast.removed, undetected_dropped=dropped) == plain.removed
-        one, other = tables(fast), tables(plain)
-        for name in one:
-            assert one[name].shape == other[name].shape, name
-            np.testing.assert_allclose(
-                one[name], other[name], rtol=1e-9, atol=1e-9, err_msg=name, equal_nan=False
-            )
-            if one[name].dtype.kind in "iu":
-                np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+        check_columns(tables(fast), tables(plain))
         state, reported = tracker.report(config, state, frame, fast)
-        for field in fields(Tracks):
-            if field.name != "undetected":
-                np.testing.assert_array_equal(
-                    getattr(reported, field.name), getattr(plainly, field.name), field.name
-                )
+        names = [field.name for field in fields(Tracks) if field.name != "undetected"]
+        check_columns(*({name: getattr(of, name) for name in names} for of in (reported, plainly)))
+
+
+def check_columns(fast, plain):
+    for name in fast:
+        one, other = np.asarray(fast[name]), np.asarray(plain[name])
+        assert one.shape == other.shape, name
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name, equal_nan=False)
+        if one.dtype.kind in "iu":
+            np.testing.assert_array_equal(one, other, err_msg=name)
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)

@@ -14,6 +14,7 @@ import numpy as np
 
 from pmbm.filter.density import MISSED, Density, Index
 from pmbm.filter.estimation import Marginals
+from pmbm.kernels import twin
 from pmbm.types import ABSENT, BoolArray, FloatArray, IntArray
 
 _TWO = 0.1
@@ -49,6 +50,8 @@ class IdInheritance:
         """
         reported_ids, candidate, reported_as = self.reported_ids, self.candidate, self.reported_as
         ids = density.track_id[reported]
+        if _known_as_they_are(ids, reported_ids, candidate):
+            return self, density
         if len(candidate) and _among(ids, candidate).any():
             density = self._named(density, marginal.existence, reported)
             ids = density.track_id[reported]
@@ -101,6 +104,12 @@ class IdInheritance:
             shown.symmetric_difference_update((own, reported_as))
             renamed.exchange(own, reported_as)
         return renamed.of(density)
+
+
+@twin("known_as_they_are")
+def _known_as_they_are(ids: IntArray, reported_ids: IntArray, candidate: IntArray) -> bool:
+    """Whether tracks of these ids (n,) have all been reported, and none may inherit another."""
+    return bool(_among(ids, reported_ids).all()) and not _among(ids, candidate).any()
 
 
 def _among(ids: IntArray, rising: IntArray) -> BoolArray:

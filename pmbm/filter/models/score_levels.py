@@ -205,8 +205,7 @@ class ScoreLevels(NoRecord):
         calibration = self.calibration or ScoreModel.trusting()
         if isinstance(calibration, ScoreModel):
             score = calibration.read(detections)
-            told = calibration.log_likelihood_ratio(score)
-            log_odds = np.minimum(np.maximum(told, -_SUREST), _SUREST)
+            log_odds = calibration.log_likelihood_ratio(score, within=_SUREST)
         else:
             log_odds = calibration.log_odds(detections)
         if self.label is None:
