@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -150,8 +151,24 @@ def read_objects(path: Path, *, scored: bool) -> KittiObjects:
     decimals, and of results passes over DontCare and the id -1, and takes an image box alone, with
     fillers (-1 or 0) for the sides of the 3D box.
 
+    A file that is as it was when it was last read is not read again: its classes are compared one
+    by one.
+
     Raises InputError for anything but finite boxes of known classes, each id once in a frame.
     """
+    try:
+        state = path.stat()
+    except (OSError, ValueError):
+        return _objects_in(path, scored)
+    return _remembered(path, scored, (state.st_ino, state.st_mtime_ns, state.st_size))
+
+
+@lru_cache(maxsize=8)
+def _remembered(path: Path, scored: bool, _state: tuple[int, int, int]) -> KittiObjects:
+    return _objects_in(path, scored)
+
+
+def _objects_in(path: Path, scored: bool) -> KittiObjects:
     columns: tuple[int, ...] = (17, 18) if scored else (17,)
     named: list[tuple[int, int, str]] = []
     numbers: list[list[float]] = []

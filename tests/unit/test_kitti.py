@@ -57,6 +57,17 @@ def test_the_sample_in_the_world(folder):
     assert made.object_name == {0: "0"}
 
 
+def test_a_changed_file_is_read_again(folder):
+    """What has not changed is not; a line less tells, and so does a value of the same length."""
+    path, made = folder / "label_02" / "0000.txt", dataset(folder)
+    text, before = path.read_text(), made.objects("0000")
+    assert made.objects("0000") is before
+    path.write_text(text.replace(" 22.0", " 23.0", 1))
+    assert made.objects("0000").bottom[0, 2] == before.bottom[0, 2] + 1
+    path.write_text(text[: text.index("2 0 Car")])
+    assert len(made.objects("0000")) == 2
+
+
 def test_without_poses_the_camera_is_the_world(folder):
     made = dataset(folder, poses=None).recording("0000")
     np.testing.assert_allclose(made.truth[2].position, [[21.4, -1.24, -1.7 + 0.775]])

@@ -42,7 +42,8 @@ def sweep(
     rule: SimilarityScore, sequence: ComparedSequence, thresholds: FloatArray = THRESHOLDS
 ) -> Sweep:
     """Count a sequence's reports at every threshold by a rule's own matching."""
-    score = _scores(sequence)
+    similar, excused = rule.similar(_with_scores_as_written(sequence))
+    score = similar.scene.tracks.score
     errors: list[int] = []
     found = None
     before = -1
@@ -52,7 +53,7 @@ def sweep(
             errors.append(errors[-1])
             continue
         before = int(kept.sum())
-        counted = rule.counted(_only(sequence, kept))
+        counted = similar.with_tracks(kept).counted(rule.least, excused[kept])
         matches = trackeval_matches(counted.scene, counted.similarity, rule.least)
         hit = np.zeros(len(counted.scene.tracks), bool)
         hit[matches.track] = True
@@ -64,32 +65,16 @@ def sweep(
     return Sweep(np.array(errors), found[2], found[0], found[1])
 
 
-def _scores(sequence: ComparedSequence) -> FloatArray:
-    """(K,) of all tracks in order."""
-    if sequence.confidence is not None:
-        return sequence.confidence
-    return np.concatenate([np.zeros(0), *(one.score for one in sequence.tracks)])
-
-
-def _only(sequence: ComparedSequence, kept: BoolArray) -> ComparedSequence:
-    """The sequence with these rows of its tracks alone, their scores as they were written."""
+def _with_scores_as_written(sequence: ComparedSequence) -> ComparedSequence:
+    """The sequence with its confidences for its tracks' scores, where it has any."""
+    if sequence.confidence is None:
+        return sequence
     cuts = np.cumsum([len(one) for one in sequence.tracks])[:-1]
     tracks = tuple(
-        replace(one, score=score).take(np.flatnonzero(rows))
-        for one, rows, score in zip(
-            sequence.tracks,
-            np.split(kept, cuts),
-            np.split(_scores(sequence), cuts),
-            strict=True,
-        )
+        replace(one, score=score)
+        for one, score in zip(sequence.tracks, np.split(sequence.confidence, cuts), strict=True)
     )
-    return replace(
-        sequence,
-        tracks=tracks,
-        excused=sequence.excused[kept],
-        tracks_image=None if sequence.tracks_image is None else sequence.tracks_image[kept],
-        confidence=None if sequence.confidence is None else sequence.confidence[kept],
-    )
+    return replace(sequence, tracks=tracks)
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,13 @@ class SimilarScene:
     scene: ScoredScene
     similarity: FloatArray
 
+    def with_tracks(self, rows: BoolArray) -> SimilarScene:
+        """The same with only these rows (K,) of its tracks."""
+        scene = self.scene.with_rows(np.ones(len(self.scene.truth), bool), rows)
+        return SimilarScene(
+            scene=scene, similarity=self.similarity[rows[self.scene.pairs.track]]
+        )
+
     def counted(self, least: float, excused: BoolArray) -> SimilarScene:
         """What is left where some boxes count neither way, as TrackEval takes them out for KITTI.
 
@@ -353,14 +360,19 @@ class SimilarityScore:
 
     def counted(self, sequence: ComparedSequence) -> SimilarScene:
         """What counts of a sequence."""
+        similar, excused = self.similar(sequence)
+        return similar.counted(self.least, excused)
+
+    def similar(self, sequence: ComparedSequence) -> tuple[SimilarScene, BoolArray]:
+        """A sequence before it is said what counts, and which of its tracks (K,) are excused."""
         scene = make_scene(sequence.truth, sequence.tracks)
         truth, tracks = (
             np.hypot(side.position[:, 0], side.position[:, 1]) <= self.farthest
             for side in (scene.truth, scene.tracks)
         )
         scene = scene.with_rows(truth, tracks)
-        similar = SimilarScene(scene=scene, similarity=self.measure(scene, sequence))
-        return similar.counted(self.least, sequence.excused[tracks])
+        similarity = self.measure(scene, sequence)
+        return SimilarScene(scene=scene, similarity=similarity), sequence.excused[tracks]
 
 
 def similarity_rule(
