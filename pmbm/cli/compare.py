@@ -13,15 +13,17 @@ from pmbm.cli import dataset_options
 from pmbm.cli.many import ManyValues
 
 if TYPE_CHECKING:
+    from pmbm.cli.left_out import Trackers
     from pmbm.datasets import Dataset
     from pmbm.metrics import Evaluation
     from pmbm.metrics.benchmarks.rules import ScoringRule
     from pmbm.study import ConfiguredTracker, Difference
-    from pmbm.types import Label
 
 WITHOUT_POSES = ", no poses"
 Runs = dict[str, dict[str, "list[Evaluation]"]]
 """Class -> tracker -> what every sequence scored."""
+Entries = dict[str, "Mapping[str, Trackers]"]
+"""Tracker -> sequence -> the tracker of each class."""
 
 
 @click.command(cls=ManyValues)
@@ -44,9 +46,23 @@ Runs = dict[str, dict[str, "list[Evaluation]"]]
     help="Trackers at their own defaults, not with what ships for them on this dataset.",
 )
 @click.option(
+    "--fit",
+    "fit_in",
+    type=click.IntRange(min=2),
+    metavar="FOLDS",
+    help="Fit the trackers to these detections, as pmbm fit-tracker does: the sequences are in "
+    "so many parts, and each is tracked by fits to the others.",
+)
+@click.option(
     "--ego-motion", is_flag=True, help="Also each tracker without the poses: what they are worth."
 )
-@click.option("--metric", help="One of the rule's, to compare by.  [default: its first]")
+@click.option(
+    "--metric",
+    "metrics",
+    multiple=True,
+    metavar="NAME...",
+    help="Of the rule's, to compare by.  [default: its first]",
+)
 @dataset_options.rule
 @click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
 @click.option("--markdown", metavar="FILE|-", help="Write the tables as Markdown.")
@@ -60,8 +76,9 @@ def command(
     sequences: tuple[str, ...],
     trackers: tuple[str, ...],
     published: bool,
+    fit_in: int | None,
     ego_motion: bool,
-    metric: str | None,
+    metrics: tuple[str, ...],
     rule: str | None,
     json_file: str | None,
     markdown: str | None,
@@ -69,7 +86,8 @@ def command(
 ) -> None:
     """Run trackers over DATASET frame by frame, score them by its own rules, and compare the first
     with each other one, class by class: paired differences, their 95 % intervals by a jackknife
-    over sequences, of five at least.  Labels are read for scoring and by the clairvoyant alone.
+    over sequences, of five at least.  Labels are read for scoring, for --fit, and by the
+    clairvoyant.
 
     \b
     Example:
@@ -86,27 +104,36 @@ def command(
         dataset_name, root=root, detections=detections, classes=classes or None, poses=poses
     )
     by = rule_of(dataset, rule)
-    metric = metric or next(iter(by.shown))
-    if metric not in by.shown:
-        hint = nearest_hint(metric, by.shown, "metric")
-        raise InputError(f"the rule has no '{metric}'", field="--metric", hint=hint)
+    metrics = metrics or (next(iter(by.shown)),)
+    for metric in metrics:
+        if metric not in by.shown:
+            hint = nearest_hint(metric, by.shown, "metric")
+            raise InputError(f"the rule has no '{metric}'", field="--metric", hint=hint)
+    if fit_in and published:
+        raise InputError("what is fitted is not as published", field="--fit")
     if ego_motion and poses is None:
         raise InputError("without poses there is nothing to leave out", field="--poses")
     names = chosen_sequences(dataset, sequences)
-    entries = _configured(dataset, dataset_name, list(dict.fromkeys(trackers)), published)
-    runs = _run(dataset, names, entries, rule, jobs)
+    chosen = list(dict.fromkeys(trackers)) or list(_DEFAULT)
+
+    def runs_on(seen: Dataset) -> Runs:
+        return _run(seen, names, _entries(seen, names, chosen, published, fit_in), rule, jobs)
+
+    runs = runs_on(dataset)
     if ego_motion:
         standing = open_dataset(
             dataset_name, root=root, detections=detections, classes=classes or None
         )
-        for kind, found in _run(standing, names, entries, rule, jobs).items():
+        for kind, found in runs_on(standing).items():
             runs[kind] |= {f"{name}{WITHOUT_POSES}": each for name, each in found.items()}
-    tables = [_table(kind, found, by, metric) for kind, found in runs.items()]
+    tables = [_table(kind, found, by, metrics) for kind, found in runs.items()]
     title = f"{dataset_name}: {by.says}, online, sequences {' '.join(names)}"
+    if fit_in:
+        title += f", in {fit_in} folds, each tracked by fits to the others"
     if json_file is not None:
         figures = {one.kind: one.figures() for one in tables}
         write_json(json_file, {"dataset": dataset_name, "rule": by.says, "compared": figures})
-    text = _markdown(title, tables, metric)
+    text = _markdown(title, tables, metrics)
     if markdown not in (None, "-"):
         replace_text(Path(str(markdown)), text)
     if json_file != "-":
@@ -115,23 +142,26 @@ def command(
 
 @dataclass(frozen=True)
 class _Table:
-    """One class: every tracker's scores, why some of these are undefined, and by one metric the
+    """One class: every tracker's scores, why some of these are undefined, and by each metric the
     first less each other one, or of one without poses, itself with them less that."""
 
     kind: str
     scores: Mapping[str, Mapping[str, float | None]]
     reasons: Mapping[str, Mapping[str, str]]
-    differences: Mapping[str, Difference]
+    differences: Mapping[str, Mapping[str, Difference]]
 
     def figures(self) -> dict[str, Any]:
         compared = {
             name: {
-                "difference": one.value,
-                "low": one.low,
-                "high": one.high,
-                "reason": one.reason,
+                metric: {
+                    "difference": one.value,
+                    "low": one.low,
+                    "high": one.high,
+                    "reason": one.reason,
+                }
+                for metric, one in found.items()
             }
-            for name, one in self.differences.items()
+            for name, found in self.differences.items()
         }
         return {
             "scores": dict(self.scores),
@@ -140,10 +170,34 @@ class _Table:
         }
 
 
-def _configured(
-    dataset: Dataset, dataset_name: str, names: Sequence[str], published: bool
-) -> dict[str, dict[Label, ConfiguredTracker]]:
-    """Every tracker for every class; bounds have the model of what ships for our own tracker."""
+_DEFAULT = ("pmbm", "argoverse", "waymo", "probabilistic_kf", "clairvoyant")
+
+
+def _entries(
+    dataset: Dataset,
+    names: Sequence[str],
+    trackers: Sequence[str],
+    published: bool,
+    fit_in: int | None,
+) -> Entries:
+    """Every tracker for every sequence and class; with `fit_in`, bounds apart, fitted to the
+    others of so many folds."""
+    from pmbm.cli.fit_tracker import fits_of
+    from pmbm.cli.left_out import fitted_to_others
+    from pmbm.tracking import SHIPPED_BOUNDS
+
+    entries: Entries = {}
+    for tracker in trackers:
+        if fit_in and tracker not in SHIPPED_BOUNDS:
+            fits = fits_of(dataset, names, tracker, None, fit_in)
+            entries[tracker] = dict(fitted_to_others(fits, fit_in))
+        else:
+            entries[tracker] = dict.fromkeys(names, _configured(dataset, tracker, published))
+    return entries
+
+
+def _configured(dataset: Dataset, tracker: str, published: bool) -> Trackers:
+    """A tracker for every class; a bound has the model of what ships for our own tracker."""
     from pmbm.cli.track import class_trackers, preset
     from pmbm.errors import InputError
     from pmbm.filter import ConstantVelocity, PMBMTracker
@@ -151,37 +205,32 @@ def _configured(
     from pmbm.tracking import SHIPPED_BOUNDS
     from pmbm.types import Site
 
-    def shipped(tracker: str) -> dict[Label, ConfiguredTracker]:
-        file = None if published else preset(dataset_name, tracker)
-        return class_trackers(dataset, tracker, file)
+    def shipped(name: str) -> Trackers:
+        return class_trackers(dataset, name, None if published else preset(dataset.name, name))
 
-    def bound(name: str, like: ConfiguredTracker) -> ConfiguredTracker:
-        tracker = like(Site())
-        assert isinstance(tracker, PMBMTracker)
-        motion = tracker.config.motion
+    def bound(like: ConfiguredTracker) -> ConfiguredTracker:
+        made = like(Site())
+        assert isinstance(made, PMBMTracker)
+        motion = made.config.motion
         if not isinstance(motion, ConstantVelocity):
             raise InputError(
-                f"the bound '{name}' moves with constant velocity", got=type(motion).__name__
+                f"the bound '{tracker}' moves with constant velocity", got=type(motion).__name__
             )
         model = {
             "acceleration_density": motion.acceleration_density,
-            "position_sd": tracker.config.sensor.position_sd,
+            "position_sd": made.config.sensor.position_sd,
         }
-        return ConfiguredTracker(name, tuple(model.items()))
+        return ConfiguredTracker(tracker, tuple(model.items()))
 
-    chosen = names or ("pmbm", "argoverse", "waymo", "probabilistic_kf", "clairvoyant")
-    return {
-        name: {label: bound(name, like) for label, like in shipped("pmbm").items()}
-        if name in SHIPPED_BOUNDS
-        else shipped(name)
-        for name in chosen
-    }
+    if tracker not in SHIPPED_BOUNDS:
+        return shipped(tracker)
+    return {label: bound(like) for label, like in shipped("pmbm").items()}
 
 
 def _run(
     dataset: Dataset,
     names: Sequence[str],
-    entries: Mapping[str, Mapping[Label, ConfiguredTracker]],
+    entries: Entries,
     rule: str | None,
     jobs: int,
 ) -> Runs:
@@ -189,7 +238,7 @@ def _run(
     from pmbm.cli.progress import spread
 
     keys = [(tracker, name) for tracker in entries for name in names]
-    tasks = [(dataset, name, entries[tracker], rule) for tracker, name in keys]
+    tasks = [(dataset, name, entries[tracker][name], rule) for tracker, name in keys]
     scored = dict(zip(keys, spread(score_run, tasks, jobs, "runs"), strict=True))
     return {
         kind: {tracker: [scored[tracker, name][kind] for name in names] for tracker in entries}
@@ -201,12 +250,11 @@ def _table(
     kind: str,
     runs: Mapping[str, list[Evaluation]],
     by: ScoringRule,
-    metric: str,
+    metrics: Sequence[str],
 ) -> _Table:
     from pmbm.study import jackknife_difference
 
     first, *others = runs
-    name = by.shown[metric]
 
     def against(other: str) -> list[Evaluation]:
         return runs[other.removesuffix(WITHOUT_POSES) if other.endswith(WITHOUT_POSES) else first]
@@ -216,19 +264,23 @@ def _table(
         scores={tracker: by.figures(found) for tracker, found in runs.items()},
         reasons={tracker: by.reasons(found) for tracker, found in runs.items()},
         differences={
-            other: jackknife_difference(against(other), runs[other], name) for other in others
+            other: {
+                metric: jackknife_difference(against(other), runs[other], by.shown[metric])
+                for metric in metrics
+            }
+            for other in others
         },
     )
 
 
-def _markdown(title: str, tables: Sequence[_Table], metric: str) -> str:
+def _markdown(title: str, tables: Sequence[_Table], metrics: Sequence[str]) -> str:
     from pmbm.cli.evaluate import undefined_lines
     from pmbm.reports.tables import markdown_table, plain_markdown
 
     first = next(iter(tables[0].scores))
     bare = any(name.endswith(WITHOUT_POSES) for name in tables[0].scores)
     lines = [
-        f"{title}. The last column: {metric} of {first} less that of the row, its 95 % interval "
+        f"{title}. Last, {' and '.join(metrics)} of {first} less that of the row, 95 % intervals "
         "by a jackknife over the sequences, which falls short where a few of them are far from the "
         "others (docs/guide/intervals.md)"
         + (f"; for a row '{WITHOUT_POSES[2:]}', of the same tracker with them." if bare else "."),
@@ -236,10 +288,14 @@ def _markdown(title: str, tables: Sequence[_Table], metric: str) -> str:
     for table in tables:
         columns = list(next(iter(table.scores.values())))
         rows = [
-            [name, *(_cell(scores[key]) for key in columns), _words(table.differences.get(name))]
+            [
+                name,
+                *(_cell(scores[key]) for key in columns),
+                *(_words(table.differences.get(name, {}).get(metric)) for metric in metrics),
+            ]
             for name, scores in table.scores.items()
         ]
-        header = [table.kind, *columns, f"{metric} of {first} less it"]
+        header = [table.kind, *columns, *(f"{metric} of {first} less it" for metric in metrics)]
         lines += ["", markdown_table(header, rows, 1)]
         for name, reasons in table.reasons.items():
             for why in undefined_lines(reasons):

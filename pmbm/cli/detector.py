@@ -133,7 +133,7 @@ def _differences(known: Mapping[str, Detector], seen: Mapping[str, Detector]) ->
 def _hopeless(tracker: ConfiguredTracker, here: Detector) -> bool:
     """Whether even a source whose scores are all high is reported nowhere."""
     made: Any = tracker(Site())
-    scores = made.config.scores
+    scores = getattr(made.config, "scores", None)
     if not isinstance(scores, ScoreRecord):
         return False
     best = (here.scores[-1] - scores.middle[scores.label]) / scores.spread[scores.label]

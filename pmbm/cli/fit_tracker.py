@@ -15,15 +15,13 @@ from pmbm.cli.many import ManyValues
 
 if TYPE_CHECKING:
     from pmbm.arrays import BoolArray
-    from pmbm.cli.detector import Detector
+    from pmbm.cli.left_out import Fits, LeftOut, Tables
     from pmbm.datasets import Dataset
     from pmbm.filter.models.score_record import ScoreRecord
     from pmbm.fitting.score_record import Rows, Scale
-    from pmbm.metrics.benchmarks.operating_point import OperatingPoint, Sweep
     from pmbm.types import Label, Recording
 
-Tables = dict[str, dict[str, Any]]
-"""Class -> its parameters, as a file has them."""
+OURS = "pmbm"
 
 
 @click.command(cls=ManyValues)
@@ -36,10 +34,19 @@ Tables = dict[str, dict[str, Any]]
 @dataset_options.classes
 @dataset_options.sequences
 @click.option(
+    "--tracker",
+    "tracker_name",
+    default=OURS,
+    show_default=True,
+    metavar="NAME",
+    help="Or a baseline: argoverse, waymo, probabilistic_kf.",
+)
+@click.option(
     "--config",
     type=FILE,
     metavar="FILE.toml",
-    help="The PMBM tracker's other parameters.  [default: what ships for this dataset]",
+    help="The tracker's other parameters.  [default: what ships for the PMBM tracker on this "
+    "dataset; a baseline's own]",
 )
 @click.option(
     "--unlabelled",
@@ -64,6 +71,7 @@ def command(
     poses: Path | None,
     classes: tuple[str, ...],
     sequences: tuple[str, ...],
+    tracker_name: str,
     config: Path | None,
     unlabelled: bool,
     folds: int,
@@ -71,8 +79,9 @@ def command(
     out: Path,
     markdown: Path | None,
 ) -> None:
-    """Fit the PMBM tracker to a detector on DATASET, from its detections and labels: which sources
-    of detections are objects.  Writes a preset for `pmbm track --config`, and tells what it is
+    """Fit a tracker to a detector on DATASET, from its detections and labels: of the PMBM tracker,
+    which sources of detections are objects; of a baseline, its thresholds, and noise where it knows
+    of noise, for the best MOTA.  Writes a preset for `pmbm track --config`, and tells what it is
     worth on sequences that it was not fitted to: each is tracked by a fit to others.
 
     \b
@@ -80,39 +89,87 @@ def command(
       pmbm fit-tracker kitti --root kitti --detections 'mine/{class}' --poses kitti/pose \\
         --out mine.toml
     """
-    from pmbm.cli.track import class_trackers, preset
+    from pmbm.cli.detector import Detector
+    from pmbm.cli.left_out import left_out
     from pmbm.datasets import open_dataset
     from pmbm.durable import replace_text
+    from pmbm.errors import InputError
     from pmbm.sim.toml_tables import toml_text
-    from pmbm.study.configured import nested
     from pmbm.types import Label
 
     dataset = open_dataset(
         dataset_name, root=root, detections=detections, poses=poses, classes=classes or None
     )
+    if tracker_name != OURS:
+        for option, asked in (("--unlabelled", unlabelled), ("--mode batch", mode == "batch")):
+            if asked:
+                raise InputError(f"{option} is of the tracker '{OURS}'", field="--tracker")
     names = list(dict.fromkeys(sequences)) or dataset.sequences()
-    trackers = class_trackers(dataset, "pmbm", config or preset(dataset_name, "pmbm"))
-    given = {
-        kind: nested(dict(trackers[Label(label)].parameters))
+    study: Fits
+    if unlabelled:
+        study = Study.of(dataset, names, parameters(dataset, OURS, config), labelled=False)
+        tables = study.unlabelled()
+    else:
+        study = fits_of(dataset, names, tracker_name, config, folds)
+        tables = study.fitted(names)
+    how = "scores' scale by" if unlabelled else "fitted by"
+    options = "--unlabelled " if unlabelled else ""
+    options += "" if tracker_name == OURS else f"--tracker {tracker_name} "
+    note = (
+        f"# The tracker {tracker_name}'s parameters for one detector, a table for each class; "
+        f"{how}\n#   pmbm fit-tracker {dataset_name} {options}--sequences {' '.join(names)}\n"
+    )
+    told = {
+        kind: Detector.of(list(study.recordings.values()), Label(label)).table()
         for kind, label in zip(dataset.classes, dataset.labels, strict=True)
     }
-    study = Study.of(dataset, names, given, labelled=not unlabelled)
-    tables = study.unlabelled() if unlabelled else study.fitted(names)
-    how = "scores' scale by" if unlabelled else "scores by"
-    note = (
-        f"# The PMBM tracker's parameters for one detector, a table for each class; {how}\n"
-        f"#   pmbm fit-tracker {dataset_name}{' --unlabelled' if unlabelled else ''} --sequences "
-        f"{' '.join(names)}\n"
-    )
-    told = {kind: one.table() for kind, one in study.detector.items()}
     replace_text(out, note + toml_text({**factored(tables), "detector": told}))
     if folds and not unlabelled:
-        points = study.left_out(folds, mode)
-        text = report(points, f"{dataset_name}, {mode}, {len(names)} sequences in {folds} folds")
+        worth = left_out(study, folds, mode)
+        title = f"{dataset_name}, {tracker_name} {mode}, {len(names)} sequences in {folds} folds"
+        text = report(worth, title)
         click.echo(text, nl=False)
         if markdown is not None:
             replace_text(markdown, text)
     click.echo(out)
+
+
+def fits_of(
+    dataset: Dataset, names: Sequence[str], tracker: str, config: Path | None, folds: int
+) -> Fits:
+    """A tracker and these sequences to fit it to, in so many folds.
+
+    Raises InputError for a tracker of which nothing is fitted.
+    """
+    from pmbm.cli.fit_baseline import BaselineFits
+    from pmbm.errors import InputError
+    from pmbm.fitting.baselines import FITTED
+
+    if tracker not in (OURS, *FITTED):
+        raise InputError(
+            f"nothing of the tracker '{tracker}' is fitted",
+            field="--tracker",
+            expected=", ".join((OURS, *FITTED)),
+        )
+    given = parameters(dataset, tracker, config)
+    if tracker == OURS:
+        return Study.of(dataset, names, given, labelled=True)
+    return BaselineFits.of(dataset, names, tracker, given, folds)
+
+
+def parameters(dataset: Dataset, tracker: str, config: Path | None) -> Tables:
+    """Of each class what is not fitted: that of a file, of the PMBM tracker what ships for the
+    dataset, of a baseline its own."""
+    from pmbm.cli.track import class_trackers, preset
+    from pmbm.study.configured import nested
+    from pmbm.types import Label
+
+    shipped = preset(dataset.name, tracker) if tracker == OURS else None
+    trackers = class_trackers(dataset, tracker, config or shipped)
+    return {
+        kind: nested(dict(trackers[Label(label)].parameters))
+        for kind, label in zip(dataset.classes, dataset.labels, strict=True)
+    }
 
 
 @dataclass(frozen=True)
@@ -126,12 +183,10 @@ class Study:
     recordings: Mapping[str, Recording]
     given: Tables
     scale: Scale
-    detector: Mapping[str, Detector]
     found: Mapping[tuple[str, str], Rows]
 
     @staticmethod
     def of(dataset: Dataset, names: Sequence[str], given: Tables, *, labelled: bool) -> Study:
-        from pmbm.cli.detector import Detector
         from pmbm.fitting.score_record import rows, score_scale
         from pmbm.types import Label
 
@@ -145,11 +200,11 @@ class Study:
             for name, recording in recordings.items():
                 unjudged: Sequence[BoolArray] | None = None if judge is None else judge(name)
                 found[kind, name] = rows(recording, label, config, unjudged)
-        detector = {
-            kind: Detector.of(list(recordings.values()), label)
-            for kind, label in zip(dataset.classes, labels, strict=True)
-        }
-        return Study(dataset, recordings, given, scale, detector, found)
+        return Study(dataset, recordings, given, scale, found)
+
+    @property
+    def tracker(self) -> str:
+        return OURS
 
     def fitted(self, names: Sequence[str]) -> Tables:
         """Each class's parameters, fitted to these sequences."""
@@ -183,51 +238,6 @@ class Study:
                 )
             tables[kind] = {**own, "scores": {**scores, **_scale_table(self.scale)}}
         return tables
-
-    def left_out(self, folds: int, mode: str) -> dict[str, OperatingPoint | None]:
-        """What each class's tracker is worth on sequences that it was not fitted to."""
-        from pmbm.metrics.benchmarks.operating_point import operating_point
-
-        names = list(self.recordings)
-        sweeps: dict[str, list[Sweep]] = {kind: [] for kind in self.dataset.classes}
-        for fold in range(min(folds, len(names))):
-            held = names[fold::folds]
-            tables = self.fitted([name for name in names if name not in held])
-            for name in held:
-                swept = swept_run(self.dataset, name, self.recordings[name], tables, mode)
-                for kind, one in swept.items():
-                    sweeps[kind].append(one)
-        return {kind: operating_point(own) for kind, own in sweeps.items()}
-
-
-def swept_run(
-    dataset: Dataset, name: str, recording: Recording, tables: Tables, mode: str
-) -> dict[str, Sweep]:
-    """One sequence tracked by its detections alone, written, and counted at every threshold by the
-    dataset's first rule."""
-    import tempfile
-
-    from pmbm.cli.dataset_scores import rule_of
-    from pmbm.cli.track import tracked
-    from pmbm.errors import InputError
-    from pmbm.metrics.benchmarks.operating_point import sweep
-    from pmbm.metrics.benchmarks.trackeval import SimilarityScore
-    from pmbm.study.configured import ConfiguredTracker
-    from pmbm.types import Label
-
-    rule = rule_of(dataset, None).score
-    if not isinstance(rule, SimilarityScore):
-        raise InputError(f"{dataset.name}: its rule has no thresholds to compare", field="--folds")
-    trackers = {
-        Label(label): ConfiguredTracker("pmbm", tuple(tables[kind].items()))
-        for kind, label in zip(dataset.classes, dataset.labels, strict=True)
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        dataset.write(name, tracked(name, recording, trackers, mode), Path(folder))
-        return {
-            kind: sweep(rule, dataset.compared(name, kind, Path(folder)))
-            for kind in dataset.classes
-        }
 
 
 def as_table(record: ScoreRecord) -> dict[str, Any]:
@@ -275,26 +285,28 @@ def _without(own: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str, Any
     return left
 
 
-def report(points: Mapping[str, OperatingPoint | None], title: str) -> str:
+def report(worth: Mapping[str, LeftOut | None], title: str) -> str:
     """The operating points and reliability of left-out sequences, as Markdown."""
     from pmbm.reports.tables import markdown_table
 
     lines = [f"{title}, each tracked by a fit to the other folds.", ""]
     header = [
-        "class", "MOTA", "95 %", "best threshold's", "regret", "reported", "true", "by sequence",
-        "log loss",
+        "class", "MOTA", "95 %", "IDF1", "HOTA", "best threshold's", "regret", "reported", "true",
+        "by sequence", "log loss",
     ]  # fmt: skip
     rows = []
-    for kind, one in points.items():
-        if one is None:
+    for kind, found in worth.items():
+        if found is None:
             rows.append([kind, *["no objects"] * (len(header) - 1)])
             continue
+        one = found.point
         ends = "–" if one.low is None else f"[{one.low:.3f}, {one.high:.3f}]"
         rows.append(
             [
                 kind,
                 f"{one.mota:.4f}",
                 ends,
+                *(_cell(found.figures.get(name), 4) for name in ("IDF1", "HOTA")),
                 f"{one.best:.4f} at {one.best_threshold:.2f}",
                 f"{one.regret:.4f}",
                 _cell(one.reported),
@@ -309,16 +321,16 @@ def report(points: Mapping[str, OperatingPoint | None], title: str) -> str:
         "sequence: root mean square of their difference.  Where reports say p, a share of",
         "",
     ]
-    for kind, one in points.items():
-        if one is not None and one.reported is not None:
-            said, share = one.reliability.curve
+    for kind, found in worth.items():
+        if found is not None and found.point.reported is not None:
+            said, share = found.point.reliability.curve
             pairs = (f"{p:.2f}: {q:.2f}" for p, q in zip(said, share, strict=True))
             lines.append(f"- {kind} is true: {', '.join(pairs)}")
     return "\n".join(lines) + "\n"
 
 
-def _cell(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3f}"
+def _cell(value: float | None, digits: int = 3) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
 
 
 def _neutral(label: Label, scale: Scale) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -43,15 +43,28 @@ def fitted_tracker(
     return fitted
 
 
-def _noise(recordings: Iterable[Recording], label: Label | None) -> dict[str, Any]:
+def fitted_noise(
+    recordings: Iterable[Recording], labels: Sequence[Label]
+) -> dict[Label, dict[str, Any]]:
+    """The variances of the probabilistic Kalman filter by label, as a file has them.
+
+    Raises InputError where there is too little of one of them to fit to.
+    """
     fitted = fit_statistics(recordings)
-    if not fitted or (label is not None and label not in fitted):
+    for label in labels:
+        if label not in fitted:
+            raise InputError(f"too few detections of true objects to fit noise to: {label.name}")
+    return {label: _plain(fitted[label]) for label in labels}
+
+
+def _noise(recordings: Iterable[Recording], label: Label | None) -> dict[str, Any]:
+    if label is not None:
+        found = fitted_noise(recordings, [label])
+    else:
+        found = {one: _plain(variances) for one, variances in fit_statistics(recordings).items()}
+    if not found:
         raise InputError("too few detections of true objects to fit noise to", field="--fit")
-    return {
-        "noise": {
-            one.name: _plain(variances) for one, variances in fitted.items() if label in (None, one)
-        }
-    }
+    return {"noise": {one.name: variances for one, variances in found.items()}}
 
 
 def _scores(recordings: Iterable[Recording], label: Label | None) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -43,6 +44,7 @@ from pmbm.score import logistic
 from pmbm.types import (
     BoolArray,
     FloatArray,
+    GroundTruth,
     IntArray,
     Label,
     Recording,
@@ -302,8 +304,6 @@ class Kitti:
             labels = _with_image_boxes(labels, calibration)
             results = _with_image_boxes(results, calibration)
         frames = max(labels.length, results.length)
-        truth_rows = [i for i, name in enumerate(labels.type) if name in (kind, *NEIGHBOURS[kind])]
-        truth = labels.take(truth_rows).by_id()
         results = results.by_id()
         flat = None
         if not results.solid.all():
@@ -311,15 +311,10 @@ class Kitti:
                 "a result without a 3D box", field="height", expected="above 0"
             )
             results = replace(results, size=np.where(results.solid[:, None], results.size, 1.0))
-        counted = np.array([name == kind for name in truth.type], dtype=bool)
+        image, truth = _judged(labels, kind, frames)
         standing = (STANDING,) * frames
         return ComparedSequence(
-            truth=truth_frames(
-                _times(frames),
-                standing,
-                _truth(truth, frames, counted),
-                ids=[truth.id[rows] for rows in _by_frame(truth, frames)],
-            )[0],
+            truth=truth,
             tracks=tuple(
                 track_frames(
                     _times(frames),
@@ -329,7 +324,7 @@ class Kitti:
                 )
             ),
             excused=_excused(results, labels),
-            truth_image=truth.box,
+            truth_image=image,
             tracks_image=results.box,
             confidence=results.score,
             image_only=flat,
@@ -380,6 +375,24 @@ class Kitti:
         near = {kind for name in self.classes for kind in NEIGHBOURS[name]}
         kept = labels.take([i for i, k in enumerate(labels.type) if k in (*self.classes, *near)])
         return kept, np.array([kind in self.classes for kind in kept.type], dtype=bool)
+
+
+@lru_cache(maxsize=8)
+def _judged(
+    labels: KittiObjects, kind: str, frames: int
+) -> tuple[FloatArray, tuple[GroundTruth, ...]]:
+    """Image boxes and frames of the truth that one class is compared with, its neighbours too, in
+    order of id: once for all results that are compared with it."""
+    rows = [i for i, name in enumerate(labels.type) if name in (kind, *NEIGHBOURS[kind])]
+    truth = labels.take(rows).by_id()
+    counted = np.array([name == kind for name in truth.type], dtype=bool)
+    made, _ = truth_frames(
+        _times(frames),
+        (STANDING,) * frames,
+        _truth(truth, frames, counted),
+        ids=[truth.id[rows] for rows in _by_frame(truth, frames)],
+    )
+    return truth.box, made
 
 
 def _truth(labels: KittiObjects, frames: int, counted: BoolArray) -> list[SourceBoxes]:

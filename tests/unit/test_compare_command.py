@@ -128,13 +128,13 @@ def test_the_table_and_its_figures(folder, tmp_path, capsys):
     assert set(car["scores"]) == set(rows)
     assert car["scores"]["clairvoyant"]["IDS"] == 0
     less = car["less it"]
-    assert less["pmbm"]["difference"] == pytest.approx(
+    assert less["pmbm"]["MOTA"]["difference"] == pytest.approx(
         car["scores"]["argoverse"]["MOTA"] - car["scores"]["pmbm"]["MOTA"]
     )
     # Standing, the poses are worth nothing.
-    assert less["clairvoyant, no poses"]["difference"] == 0
+    assert less["clairvoyant, no poses"]["MOTA"]["difference"] == 0
     # One sequence says nothing of others.
-    assert (less["pmbm"]["low"], less["pmbm"]["reason"]) == (
+    assert (less["pmbm"]["MOTA"]["low"], less["pmbm"]["MOTA"]["reason"]) == (
         *(None, "objects in 1 of 1 sequences, fewer than 5: no interval"),
     )
     assert "(objects in 1 of 1 sequences, fewer than 5: no interval) |" in text

@@ -90,7 +90,7 @@ def test_the_preset_is_one_to_track_with(folder, capsys):
     row = next(line for line in said.splitlines() if line.startswith("| Car"))
     cells = [cell.strip() for cell in row.split("|")]
     assert float(cells[2]) > 0.9
-    assert float(cells[5]) < 0.05
+    assert float(cells[7]) < 0.05
     assert "Car is true:" in said
     assert track(folder, "--config", folder / "mine.toml", "--sequences", "0003") == 0
     assert reported(folder) == pytest.approx([15, 20, 26], abs=0.5)
@@ -109,6 +109,60 @@ def test_another_detectors_scores_are_told_and_rescaled(folder, capsys):
     assert track(folder, "--config", folder / "other.toml") == 0
     assert "another detector" not in capsys.readouterr().err
     assert reported(folder) == pytest.approx([15, 20, 26], abs=0.5)
+
+
+@pytest.mark.parametrize("tracker", ["argoverse", "waymo", "probabilistic_kf"])
+def test_a_baseline_is_fitted_to_the_same_data(folder, tracker, capsys):
+    """Its thresholds part the cars from the poles, on any scale of the scores; and the preset says
+    what it was fitted to."""
+    rescaled(folder, 0.2, -3.0)
+    two = ("--sequences", "0000", "0001", "--folds", "2")
+    assert fit(folder, "--tracker", tracker, *two) == 0
+    said = capsys.readouterr().out
+    row = next(line for line in said.splitlines() if line.startswith("| Car"))
+    mota, _, idf1, hota = (cell.strip() for cell in row.split("|")[2:6])
+    assert float(mota) > 0.75
+    assert min(float(idf1), float(hota)) > 0.7
+    made = tomllib.loads((folder / "mine.toml").read_text())
+    low, middle, high = (made["detector"]["Car"]["scores"][k] for k in (0, 2, 4))
+    assert low < -3.0 < middle < high
+    assert ("noise" in made["Car"]) == (tracker == "probabilistic_kf")
+    on = ("--config", folder / "mine.toml", "--sequences", "0003")
+    assert track(folder, "--tracker", tracker, *on) == 0
+    found = reported(folder)
+    assert len(found) >= 2
+    assert all(min(abs(car - one) for car in (15, 20, 26)) < 0.5 for one in found)
+
+
+def test_what_is_not_fitted_is_refused(folder, capsys):
+    for options, message in [
+        (("--tracker", "pmbm-paper"), "nothing of the tracker 'pmbm-paper' is fitted"),
+        (("--tracker", "waymo", "--mode", "batch"), "--mode batch is of the tracker 'pmbm'"),
+        (("--tracker", "waymo", "--unlabelled"), "--unlabelled is of the tracker 'pmbm'"),
+    ]:
+        assert fit(folder, *options) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_trackers_fitted_to_the_same_folds_are_compared(folder, capsys):
+    """Each row of the comparison is what the tracker's own fit tells of sequences left out."""
+    options = (
+        *("compare", "kitti", "--root", folder, "--detections", folder / "dets_{class}"),
+        *("--poses", folder / "pose", "--classes", "Car"),
+    )
+    two = ("--sequences", "0000", "0001")
+    fitted = ("--fit", "2", "--metric", "MOTA", "HOTA", *two)
+    assert pmbm(*options, *fitted, "--trackers", "pmbm", "waymo", "clairvoyant") == 0
+    said = capsys.readouterr().out
+    assert "in 2 folds, each tracked by fits to the others" in said
+    rows = {line.split(" | ")[0]: line.split(" | ") for line in said.splitlines() if "|" in line}
+    assert rows["| Car"][-2:] == ["MOTA of pmbm less it", "HOTA of pmbm less it |"]
+    for tracker in ("pmbm", "waymo"):
+        assert fit(folder, "--tracker", tracker, *two, "--folds", "2") == 0
+        alone = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("| Car"))
+        assert rows[f"| {tracker}"][1] == alone.split(" | ")[1]
+    assert pmbm(*options, "--fit", "2", "--published") == 2
+    assert "not as published" in capsys.readouterr().err
 
 
 def test_where_nothing_could_be_reported_it_is_refused(folder, capsys):

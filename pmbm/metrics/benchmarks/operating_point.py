@@ -7,7 +7,7 @@ nothing to be gained by a threshold: what one would gain is its regret.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -42,7 +42,7 @@ def sweep(
     rule: SimilarityScore, sequence: ComparedSequence, thresholds: FloatArray = THRESHOLDS
 ) -> Sweep:
     """Count a sequence's reports at every threshold by a rule's own matching."""
-    similar, excused = rule.similar(_with_scores_as_written(sequence))
+    similar, excused = rule.similar(sequence)
     score = similar.scene.tracks.score
     errors: list[int] = []
     found = None
@@ -63,18 +63,6 @@ def sweep(
             found = counted.scene.tracks.score, hit, len(counted.scene.truth)
     assert found is not None
     return Sweep(np.array(errors), found[2], found[0], found[1])
-
-
-def _with_scores_as_written(sequence: ComparedSequence) -> ComparedSequence:
-    """The sequence with its confidences for its tracks' scores, where it has any."""
-    if sequence.confidence is None:
-        return sequence
-    cuts = np.cumsum([len(one) for one in sequence.tracks])[:-1]
-    tracks = tuple(
-        replace(one, score=score)
-        for one, score in zip(sequence.tracks, np.split(sequence.confidence, cuts), strict=True)
-    )
-    return replace(sequence, tracks=tracks)
 
 
 @dataclass(frozen=True)

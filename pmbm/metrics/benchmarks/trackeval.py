@@ -6,7 +6,7 @@ Luiten, Hoffhues, "TrackEval", 2020.  Scores are over a similarity in [0, 1] of 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -47,9 +47,7 @@ class SimilarScene:
     def with_tracks(self, rows: BoolArray) -> SimilarScene:
         """The same with only these rows (K,) of its tracks."""
         scene = self.scene.with_rows(np.ones(len(self.scene.truth), bool), rows)
-        return SimilarScene(
-            scene=scene, similarity=self.similarity[rows[self.scene.pairs.track]]
-        )
+        return SimilarScene(scene=scene, similarity=self.similarity[rows[self.scene.pairs.track]])
 
     def counted(self, least: float, excused: BoolArray) -> SimilarScene:
         """What is left where some boxes count neither way, as TrackEval takes them out for KITTI.
@@ -364,8 +362,11 @@ class SimilarityScore:
         return similar.counted(self.least, excused)
 
     def similar(self, sequence: ComparedSequence) -> tuple[SimilarScene, BoolArray]:
-        """A sequence before it is said what counts, and which of its tracks (K,) are excused."""
+        """A sequence before it is said what counts, its scores as they were written, and which of
+        its tracks (K,) are excused."""
         scene = make_scene(sequence.truth, sequence.tracks)
+        if sequence.confidence is not None:
+            scene = replace(scene, tracks=replace(scene.tracks, score=sequence.confidence))
         truth, tracks = (
             np.hypot(side.position[:, 0], side.position[:, 1]) <= self.farthest
             for side in (scene.truth, scene.tracks)

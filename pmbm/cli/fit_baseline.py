@@ -1,0 +1,111 @@
+"""Baselines fitted to a detector, beside the PMBM tracker's own fit (`pmbm.cli.fit_tracker`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmbm.cli.fitting import fitted_noise
+from pmbm.cli.left_out import Tables, compared_run, folds_of, matching_rule, trackers_of
+from pmbm.datasets import Dataset, with_origins
+from pmbm.fitting.baselines import candidates, fewest_errors, report_thresholds
+from pmbm.metrics.benchmarks.operating_point import sweep
+from pmbm.types import FloatArray, IntArray, Label, Recording
+
+_HAS_NOISE = "probabilistic_kf"
+"""The tracker whose variances are statistics of labels and detections."""
+
+
+@dataclass(frozen=True)
+class BaselineFits:
+    """A baseline and sequences to fit it to, with what is worked out once: each sequence tracked
+    with every candidate's parameters.
+
+    given : of each class the other parameters.
+    thresholds : of each class, candidates of `report_above`.
+    errors : of each class and sequence (C,T), by candidate and threshold.
+    """
+
+    tracker: str
+    dataset: Dataset
+    recordings: Mapping[str, Recording]
+    given: Tables
+    candidates: Mapping[str, Sequence[Mapping[str, float]]]
+    thresholds: Mapping[str, FloatArray]
+    errors: Mapping[tuple[str, str], IntArray]
+
+    @staticmethod
+    def of(
+        dataset: Dataset,
+        names: Sequence[str],
+        tracker: str,
+        given: Tables,
+        folds: int,
+    ) -> BaselineFits:
+        """Track every sequence with each candidate; what a tracker knows of noise is then from the
+        folds that the sequence is not in."""
+        rule = matching_rule(dataset)
+        recordings = {name: dataset.recording(name) for name in names}
+        if tracker == _HAS_NOISE:
+            recordings = {name: with_origins(one) for name, one in recordings.items()}
+        scores = {
+            kind: _scores(list(recordings.values()), label)
+            for kind, label in zip(dataset.classes, map(Label, dataset.labels), strict=True)
+        }
+        fits = BaselineFits(
+            tracker=tracker,
+            dataset=dataset,
+            recordings=recordings,
+            given=given,
+            candidates={kind: candidates(own) for kind, own in scores.items()},
+            thresholds={kind: report_thresholds(own) for kind, own in scores.items()},
+            errors={},
+        )
+        errors: dict[tuple[str, str], list[IntArray]] = {}
+        for held in folds_of(names, folds) if folds > 1 else [list(names)]:
+            others = [name for name in names if name not in held] or names
+            known = fits.noise(others)
+            for name in held:
+                for tables in zip(*fits.candidates.values(), strict=True):
+                    own = {
+                        kind: {**given[kind], **known[kind], **table}
+                        for kind, table in zip(dataset.classes, tables, strict=True)
+                    }
+                    trackers = trackers_of(dataset, tracker, own)
+                    run = compared_run(dataset, name, recordings[name], trackers)
+                    for kind, one in run.items():
+                        swept = sweep(rule, one, fits.thresholds[kind])
+                        errors.setdefault((kind, name), []).append(swept.errors)
+        return replace(fits, errors={key: np.array(found) for key, found in errors.items()})
+
+    def noise(self, names: Sequence[str]) -> Tables:
+        """Of each class, the variances that these sequences show, if the tracker has such."""
+        if self.tracker != _HAS_NOISE:
+            return {kind: {} for kind in self.dataset.classes}
+        kinds = dict(zip(map(Label, self.dataset.labels), self.dataset.classes, strict=True))
+        known = fitted_noise([self.recordings[name] for name in names], list(kinds))
+        return {kind: {"noise": {label.name: known[label]}} for label, kind in kinds.items()}
+
+    def fitted(self, names: Sequence[str]) -> Tables:
+        """Each class's parameters: of all candidates, those of the best MOTA on these sequences."""
+        known = self.noise(names)
+        tables = {}
+        for kind, given in self.given.items():
+            errors = np.stack([self.errors[kind, name] for name in names])
+            best, threshold = fewest_errors(errors)
+            tables[kind] = {
+                **given,
+                **known[kind],
+                **self.candidates[kind][best],
+                "report_above": float(self.thresholds[kind][threshold]),
+            }
+        return tables
+
+
+def _scores(recordings: Sequence[Recording], label: Label) -> FloatArray:
+    """(N,) of all detections of a label; a zero where there are none."""
+    found = [one.score[one.label == label] for each in recordings for one in each.detections]
+    scores = np.concatenate([np.zeros(0), *found])
+    return scores if len(scores) else np.zeros(1)
