@@ -91,7 +91,7 @@ def command(
     """
     from pmbm.cli.detector import Detector
     from pmbm.cli.left_out import left_out
-    from pmbm.datasets import open_dataset
+    from pmbm.datasets import chosen_sequences, open_dataset
     from pmbm.durable import replace_text
     from pmbm.errors import InputError
     from pmbm.sim.toml_tables import toml_text
@@ -104,7 +104,7 @@ def command(
         for option, asked in (("--unlabelled", unlabelled), ("--mode batch", mode == "batch")):
             if asked:
                 raise InputError(f"{option} is of the tracker '{OURS}'", field="--tracker")
-    names = list(dict.fromkeys(sequences)) or dataset.sequences()
+    names = chosen_sequences(dataset, sequences)
     study: Fits
     if unlabelled:
         study = Study.of(dataset, names, parameters(dataset, OURS, config), labelled=False)

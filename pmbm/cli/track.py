@@ -53,6 +53,14 @@ if TYPE_CHECKING:
     help="Report each frame as it comes, or look back from the end.",
 )
 @click.option(
+    "--false-cost",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="BOXES",
+    help="How many missed boxes C one false box is worth: 3 for precision, .33 for recall, 1 for "
+    "MOTA.  Reported is what is there with a probability above C / (1 + C).  [default: as the "
+    "tracker's parameters have it]",
+)
+@click.option(
     "--log",
     metavar="FILE.mcap|FILE.rrd",
     help="Write each sequence for a viewer too, Foxglove or Rerun; {sequence} stands for its name.",
@@ -70,6 +78,7 @@ def command(
     settings: tuple[str, ...],
     config: Path | None,
     mode: str,
+    false_cost: float | None,
     log: str | None,
     jobs: int,
 ) -> None:
@@ -95,6 +104,8 @@ def command(
         config = preset(dataset_name, tracker_name, str(config)) or config
     config = config or preset(dataset_name, tracker_name)
     trackers = class_trackers(dataset, tracker_name, config, parsed(settings))
+    if false_cost is not None:
+        trackers = {label: at_cost(one, false_cost) for label, one in trackers.items()}
     names = chosen_sequences(dataset, sequences)
     if getattr(dataset, "without_poses", False):
         warn("no --poses: objects are followed in the frame of the moving sensor")
@@ -148,6 +159,32 @@ def track_sequence(
         sum(len(one) for one in recording.detections),
         sum(len(one) for one in tracks),
     )
+
+
+def at_cost(tracker: ConfiguredTracker, false_cost: float) -> ConfiguredTracker:
+    """The tracker with the least expected cost of its reports, where a missed box costs 1.
+
+    Raises InputError for a tracker whose scores are not probabilities of existence.
+    """
+    import math
+
+    from pmbm.errors import InputError
+    from pmbm.filter import PMBMConfig
+    from pmbm.study.configured import ConfiguredTracker, config_of, merged
+
+    if config_of(tracker.factory) is not PMBMConfig:
+        raise InputError(
+            f"tracker '{tracker.factory}' does not say how probably its tracks exist, or takes no "
+            "parameters",
+            field="--false-cost",
+            hint="use --tracker pmbm",
+        )
+    if not math.isfinite(false_cost):
+        raise InputError("not a cost", field="--false-cost", got=false_cost)
+    least = false_cost / (1 + false_cost)
+    table = {"report": {"above": least, "keep_above": least}}
+    parameters = merged(dict(tracker.parameters), table, PMBMConfig)
+    return ConfiguredTracker(tracker.factory, tuple(parameters.items()))
 
 
 def _logs(log: str | None, sequences: Sequence[str]) -> list[Path | None]:

@@ -1,5 +1,6 @@
 """`pmbm track`, from the command line to the file."""
 
+import json
 import os
 import re
 import shutil
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pmbm.cli import main
-from pmbm.cli.track import class_trackers, preset, shipped_detectors
+from pmbm.cli.track import at_cost, class_trackers, preset, shipped_detectors
 from pmbm.datasets import open_dataset
 from pmbm.types import Site
 
@@ -228,3 +229,49 @@ def test_parameters_on_the_command_line_go_over_the_files(folder, capsys):
 def test_without_a_terminal_no_bar_is_drawn(folder, capsys):
     track(folder, "--tracker", "argoverse")
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("scenario", "mode", "rising"),
+    [("clutter_persistent", "online", "FP"), ("clutter_persistent", "batch", "FP"),
+     ("misses_iid", "online", "FN")],
+)  # fmt: skip
+def test_the_dearer_a_false_box_the_fewer_and_the_more_missed(
+    tmp_path, capsys, scenario, mode, rising
+):
+    assert pmbm("export", scenario, "--seed", "7", "--out", tmp_path / "log") == 0
+    place = ("table", "--root", tmp_path / "log", "--classes", "car")
+    found = []
+    for cost in ("0.25", "1", "4"):
+        out = tmp_path / cost
+        given = ("--detections", tmp_path / "log" / "detections", "--mode", mode)
+        assert pmbm("track", *place, *given, "--false-cost", cost, "--out", out) == 0
+        capsys.readouterr()
+        assert pmbm("evaluate", *place, "--results", out, "--json", "-") == 0
+        found.append(json.loads(capsys.readouterr().out)["scores"]["car"]["all"])
+    false, missed = ([one[name] for one in found] for name in ("FP", "FN"))
+    assert false == sorted(false, reverse=True)
+    assert missed == sorted(missed)
+    assert len({one[rising] for one in found}) > 1
+
+
+def test_a_false_box_as_dear_as_a_missed_one_is_reported_if_probable(folder):
+    """So the best expected MOTA is what the presets give."""
+    dataset = open_dataset("kitti", root=folder, classes=("Car",))
+    (tracker,) = class_trackers(dataset, "pmbm", preset("kitti", "pmbm")).values()
+    for cost, threshold in ((1, 0.5), (3, 0.75), (1 / 3, 0.25)):
+        report = at_cost(tracker, cost)(Site()).config.report
+        assert (report.above, report.keep_above) == pytest.approx((threshold, threshold))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--tracker", "argoverse", "--false-cost", "2"), "argoverse' does not say how probably"),
+        (("--tracker", "pmbm-paper", "--false-cost", "2"), "takes no parameters"),
+        (("--false-cost", "0"), "0"),
+        (("--false-cost", "nan"), "nan"),
+    ],
+)
+def test_bad_false_costs(folder, capsys, options, message):
+    assert message in fails(folder, capsys, *options)
