@@ -27,7 +27,7 @@ from scipy.optimize import linear_sum_assignment
 
 from pmbm.filter.association import associate
 from pmbm.filter.density import BEFORE, Density, Locals, Mixture
-from pmbm.filter.estimation import best_hypothesis, map_cardinality, most_certain_hypothesis
+from pmbm.filter.estimators import best_hypothesis, map_cardinality, most_certain_hypothesis
 from pmbm.filter.prediction import Transition, predict
 from pmbm.filter.reduction import reduce
 from pmbm.filter.update import update

@@ -292,7 +292,7 @@ FILTER_PLANTS = [
     ),
     _filter(
         "cardinality without the rest's absence",
-        "estimation",
+        "estimators",
         "        left = np.concatenate([np.cumsum(np.log1p(-falling[::-1]))[::-1], [0.0]])\n",
         "        left = np.zeros(len(falling) + 1)\n",
         by="tests/unit/test_filter_models.py::test_estimators_over_clusters_are_those_of_the_whole_scene[0]",

@@ -19,7 +19,8 @@ from scipy.stats import chi2
 from pmbm.filter import BroadBirth, ConstantVelocity, Reduction
 from pmbm.filter.association import associate
 from pmbm.filter.density import Density, Mixture
-from pmbm.filter.estimation import cardinality, marginals
+from pmbm.filter.estimation import marginals
+from pmbm.filter.estimators import cardinality
 from pmbm.filter.prediction import Transition, predict
 from pmbm.filter.reduction import reduce
 from pmbm.filter.update import update

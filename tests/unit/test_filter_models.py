@@ -18,11 +18,11 @@ from scipy.stats import ncx2
 
 from pmbm.filter import ConstantVelocity, Survival
 from pmbm.filter.density import Density, Globals, Mixture
-from pmbm.filter.estimation import (
+from pmbm.filter.estimation import marginals
+from pmbm.filter.estimators import (
     best_hypothesis,
     cardinality,
     map_cardinality,
-    marginals,
     most_certain_hypothesis,
     poisson_binomial,
 )
