@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from pmbm.intervals import SHARE
 from pmbm.metrics.core.clear_matching import Matches, clear_matches
+from pmbm.metrics.core.formulas import NO_FRAMES, Ratio
 from pmbm.metrics.core.parameters import MetricParameters
-from pmbm.metrics.core.result import Metric
+from pmbm.metrics.core.result import Direction, Formula, Metric
 from pmbm.metrics.core.scene import ScoredScene
 
 
@@ -79,6 +81,24 @@ class Family:
     count: Callable[[Work], Tally]
     metrics: tuple[Metric, ...]
     follows_objects: bool = False
+
+
+def share(
+    name: str, question: str, formula: Formula, direction: Direction = "higher", **more: Any
+) -> Metric:
+    """A metric that lies between 0 and 1 in every trial."""
+    return Metric(
+        name=name, unit="1", direction=direction, question=question, formula=formula, bounds=SHARE,
+        **more,
+    )  # fmt: skip
+
+
+def per_frame(name: str, question: str, series: str, unit: str, **more: Any) -> Metric:
+    """A metric that is the mean over frames of a series of losses."""
+    return Metric(
+        name=name, unit=unit, direction="lower", question=question, series=series,
+        formula=Ratio(series, "frames", NO_FRAMES), **more,
+    )  # fmt: skip
 
 
 def observable_scene(scene: ScoredScene, matches: Matches) -> ScoredScene:

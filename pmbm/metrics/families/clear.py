@@ -12,9 +12,8 @@ from typing import Final
 import numpy as np
 
 from pmbm.arrays import BoolArray
-from pmbm.intervals import SHARE
 from pmbm.metrics.core.clear_matching import Matches
-from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.family import Family, Tally, Work, share
 from pmbm.metrics.core.formulas import NO_MATCH, NO_TRACKS, NO_TRUTH, OneMinusRatio, Ratio, Total
 from pmbm.metrics.core.result import Metric
 from pmbm.metrics.core.scene import ScoredScene
@@ -161,39 +160,28 @@ FAMILY: Final = Family(
             question="How often is a track interrupted?",
             formula=Total("fragmentations"),
         ),
-        Metric(
+        share(
             name="precision",
             variant="clear",
-            unit="1",
-            direction="higher",
-            bounds=SHARE,
             question="What share of reported boxes is real?",
             formula=Ratio("matches", "tracks", NO_TRACKS),
         ),
-        Metric(
+        share(
             name="recall",
             variant="clear",
-            unit="1",
-            direction="higher",
-            bounds=SHARE,
             question="What share of true boxes is reported?",
             formula=Ratio("matches", "truths", NO_TRUTH),
         ),
-        Metric(
+        share(
             name="mostly_tracked",
             variant="clear",
-            unit="1",
-            direction="higher",
-            bounds=SHARE,
             question="What share of objects is tracked for at least 80 % of its life?",
             formula=Ratio("mostly_tracked", "objects", NO_TRUTH),
         ),
-        Metric(
+        share(
             name="mostly_lost",
             variant="clear",
-            unit="1",
             direction="lower",
-            bounds=SHARE,
             question="What share of objects is tracked for less than 20 % of its life?",
             formula=Ratio("mostly_lost", "objects", NO_TRUTH),
         ),

@@ -17,10 +17,9 @@ from numpy.typing import ArrayLike
 
 from pmbm.arrays import FloatArray, IntArray
 from pmbm.errors import InputError
-from pmbm.intervals import SHARE
-from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.family import Family, Tally, Work, share
 from pmbm.metrics.core.formulas import NO_TRACKS, Ratio
-from pmbm.metrics.core.result import Counts, Metric, Undefined
+from pmbm.metrics.core.result import Counts, Undefined
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -121,21 +120,17 @@ FAMILY: Final = Family(
     rule="the reported probability of a track against whether CLEAR MOT matches it, in bins",
     count=_count,
     metrics=(
-        Metric(
+        share(
             name="existence_brier",
-            unit="1",
             direction="lower",
             default=False,
-            bounds=SHARE,
             question="How good is the reported probability of existence (mean squared error)?",
             formula=Ratio("square_sum", "reports", NO_TRACKS),
         ),
-        Metric(
+        share(
             name="existence_calibration_error",
-            unit="1",
             direction="lower",
             default=False,
-            bounds=SHARE,
             question="How far is the reported probability from the share that is real?",
             formula=CalibrationError(),
         ),

@@ -16,11 +16,10 @@ from numpy.typing import ArrayLike
 
 from pmbm.arrays import FloatArray, IntArray
 from pmbm.geometry import centre_distance
-from pmbm.metrics.core.family import Family, Tally, Work
-from pmbm.metrics.core.formulas import NO_FRAMES, Means, Ratio
+from pmbm.metrics.core.family import Family, Tally, Work, per_frame
+from pmbm.metrics.core.formulas import Means
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.points import check_cutoff_and_order, point_sets
-from pmbm.metrics.core.result import Metric
 from pmbm.metrics.core.scene import NearPairs, ScoredScene
 
 
@@ -131,40 +130,32 @@ FAMILY: Final = Family(
     rule="GOSPA and its parts, mean over frames",
     count=_count,
     metrics=(
-        Metric(
+        per_frame(
             name="gospa",
             unit="m",
-            direction="lower",
             series="distance",
             question="How far is the picture from the truth, all errors in one number?",
-            formula=Ratio("distance", "frames", NO_FRAMES),
             parts=Means(
                 ("localisation", "missed", "false", "missed_count", "false_count"), "frames"
             ),
         ),
-        Metric(
+        per_frame(
             name="gospa_localisation",
             unit="m^p",
-            direction="lower",
             series="localisation",
             question="How much of GOSPA^p is misplacement?",
-            formula=Ratio("localisation", "frames", NO_FRAMES),
         ),
-        Metric(
+        per_frame(
             name="gospa_missed",
             unit="m^p",
-            direction="lower",
             series="missed",
             question="How much of GOSPA^p is missed objects?",
-            formula=Ratio("missed", "frames", NO_FRAMES),
         ),
-        Metric(
+        per_frame(
             name="gospa_false",
             unit="m^p",
-            direction="lower",
             series="false",
             question="How much of GOSPA^p is false tracks?",
-            formula=Ratio("false", "frames", NO_FRAMES),
         ),
     ),
 )

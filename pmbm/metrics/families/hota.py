@@ -12,11 +12,10 @@ from typing import Final, Literal
 import numpy as np
 
 from pmbm.arrays import FloatArray, IntArray
-from pmbm.intervals import SHARE
-from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.family import Family, Tally, Work, share
 from pmbm.metrics.core.formulas import NOTHING
 from pmbm.metrics.core.matching import best_matching
-from pmbm.metrics.core.result import Counts, Metric, Undefined
+from pmbm.metrics.core.result import Counts, Undefined
 from pmbm.metrics.core.scene import NearPairs, ScoredScene
 from pmbm.metrics.families.identity import id_pairs
 
@@ -132,35 +131,23 @@ FAMILY: Final = Family(
     rule="HOTA over the similarity max(0, 1 - d / similarity_zero)",
     count=_count,
     metrics=(
-        Metric(
+        share(
             name="hota",
-            unit="1",
-            direction="higher",
-            bounds=SHARE,
             question="How good are detection and association together, in equal parts?",
             formula=OverThresholds("HOTA"),
         ),
-        Metric(
+        share(
             name="deta",
-            unit="1",
-            direction="higher",
-            bounds=SHARE,
             question="How good is detection alone?",
             formula=OverThresholds("DetA"),
         ),
-        Metric(
+        share(
             name="assa",
-            unit="1",
-            direction="higher",
-            bounds=SHARE,
             question="How good is association alone?",
             formula=OverThresholds("AssA"),
         ),
-        Metric(
+        share(
             name="loca",
-            unit="1",
-            direction="higher",
-            bounds=SHARE,
             question="How well placed are matched boxes?",
             formula=OverThresholds("LocA"),
         ),

@@ -12,12 +12,10 @@ from typing import Final
 import numpy as np
 
 from pmbm.arrays import IntArray
-from pmbm.intervals import SHARE
 from pmbm.metrics.core.clear_matching import gated_pairs
-from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.family import Family, Tally, Work, share
 from pmbm.metrics.core.formulas import F1
 from pmbm.metrics.core.matching import best_matching
-from pmbm.metrics.core.result import Metric
 from pmbm.metrics.core.scene import NearPairs, ScoredScene
 
 
@@ -72,11 +70,8 @@ FAMILY: Final = Family(
     rule="one track id for an object in the whole run (Ristani et al. 2016)",
     count=_count,
     metrics=(
-        Metric(
+        share(
             name="idf1",
-            unit="1",
-            direction="higher",
-            bounds=SHARE,
             question="For how long does one track id stay with one object?",
             formula=F1("true_positives", "misses", "false_positives"),
         ),

@@ -10,9 +10,8 @@ import numpy as np
 
 from pmbm.arrays import FloatArray
 from pmbm.geometry import wrap_angle
-from pmbm.intervals import SHARE
 from pmbm.metrics.core.clear_matching import Matches
-from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.family import Family, Tally, Work, share
 from pmbm.metrics.core.formulas import NO_MATCH, Ratio
 from pmbm.metrics.core.result import Counts, Metric
 from pmbm.metrics.core.scene import ScoredScene
@@ -79,11 +78,9 @@ FAMILY: Final = Family(
             question="How wrong is the heading of matched objects that are not flipped?",
             formula=Ratio("yaw_error", "upright", "no matched object without a flipped heading"),
         ),
-        Metric(
+        share(
             name="yaw_flips",
-            unit="1",
             direction="lower",
-            bounds=SHARE,
             question="What share of matched objects points backwards (yaw off by more than 90 "
             "degrees)?",
             formula=Ratio("flips", "matches", NO_MATCH),

@@ -12,9 +12,8 @@ from typing import Final
 import numpy as np
 
 from pmbm.arrays import FloatArray, IntArray
-from pmbm.intervals import SHARE
 from pmbm.metrics.core.clear_matching import Matches
-from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.family import Family, Tally, Work, share
 from pmbm.metrics.core.formulas import Described, Mean, Median, Number
 from pmbm.metrics.core.result import Counts, Metric, Samples
 from pmbm.metrics.core.scene import ScoredScene
@@ -128,11 +127,8 @@ FAMILY: Final = Family(
             formula=Mean("ghost_time", "no object is matched"),
             parts=Described("ghost_time", ("never_matched",)),
         ),
-        Metric(
+        share(
             name="track_life",
-            unit="1",
-            direction="higher",
-            bounds=SHARE,
             question="For what share of its visible life is an object tracked (mean)?",
             formula=Mean("track_life", "no object is ever observable"),
             parts=Described("track_life", ("never_observable",)),

@@ -12,9 +12,8 @@ from typing import Final
 import numpy as np
 
 from pmbm.arrays import BoolArray, FloatArray, IntArray
-from pmbm.intervals import SHARE
 from pmbm.metrics.core.clear_matching import Matches
-from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.family import Family, Tally, Work, share
 from pmbm.metrics.core.formulas import Described, Mean, Totals
 from pmbm.metrics.core.result import Counts, Metric, Samples, Undefined
 from pmbm.metrics.core.scene import ScoredScene
@@ -142,11 +141,8 @@ FAMILY: Final = Family(
     count=_count,
     follows_objects=True,
     metrics=(
-        Metric(
+        share(
             name="id_kept",
-            unit="1",
-            direction="higher",
-            bounds=SHARE,
             question="In what share of occlusions does the object come back under its old id?",
             formula=KeptShare(),
             parts=Totals(("kept", "lost", "untracked")),

@@ -21,12 +21,11 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from pmbm.arrays import FloatArray
 from pmbm.geometry import centre_distance
 from pmbm.intervals import Scale
-from pmbm.metrics.core.family import Family, Tally, Work
-from pmbm.metrics.core.formulas import NO_FRAMES, Means, Ratio
+from pmbm.metrics.core.family import Family, Tally, Work, per_frame
+from pmbm.metrics.core.formulas import Means
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.parameters import MetricParameters
 from pmbm.metrics.core.points import check_cutoff_and_order, point_sets
-from pmbm.metrics.core.result import Metric
 from pmbm.metrics.core.scene import ScoredScene
 
 
@@ -141,33 +140,27 @@ FAMILY: Final = Family(
     rule="OSPA and its parts, mean over frames",
     count=_count,
     metrics=(
-        Metric(
+        per_frame(
             name="ospa",
             unit="m",
-            direction="lower",
             series="distance",
             bounds=OSPA_BOUNDS,
             question="How far off is the picture, per object?",
-            formula=Ratio("distance", "frames", NO_FRAMES),
             parts=Means(("localisation", "cardinality"), "frames"),
         ),
-        Metric(
+        per_frame(
             name="ospa_localisation",
             unit="m",
-            direction="lower",
             series="localisation",
             bounds=OSPA_BOUNDS,
             question="How much of OSPA is misplacement?",
-            formula=Ratio("localisation", "frames", NO_FRAMES),
         ),
-        Metric(
+        per_frame(
             name="ospa_cardinality",
             unit="m",
-            direction="lower",
             series="cardinality",
             bounds=OSPA_BOUNDS,
             question="How much of OSPA is a wrong number of objects?",
-            formula=Ratio("cardinality", "frames", NO_FRAMES),
         ),
     ),
 )

@@ -12,11 +12,10 @@ import numpy as np
 
 from pmbm.arrays import BoolArray, IntArray
 from pmbm.errors import InputError
-from pmbm.metrics.core.family import Family, Tally, Work
-from pmbm.metrics.core.formulas import NO_FRAMES, Means, Ratio
+from pmbm.metrics.core.family import Family, Tally, Work, per_frame
+from pmbm.metrics.core.formulas import Means
 from pmbm.metrics.core.matching import best_matching
 from pmbm.metrics.core.points import check_cutoff_and_order
-from pmbm.metrics.core.result import Metric
 from pmbm.metrics.core.scene import BoxRows, ScoredScene
 from pmbm.metrics.families.ospa import OSPA_BOUNDS, OspaSeries
 
@@ -118,14 +117,12 @@ FAMILY: Final = Family(
     rule="OSPA(2) over the tracks of a window that ends at each frame, mean over frames",
     count=_count,
     metrics=(
-        Metric(
+        per_frame(
             name="ospa2",
             unit="m",
-            direction="lower",
             series="distance",
             bounds=OSPA_BOUNDS,
             question="How far off are the tracks of the last second, identities included?",
-            formula=Ratio("distance", "frames", NO_FRAMES),
             parts=Means(("localisation", "cardinality"), "frames"),
         ),
     ),

@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 
 from pmbm.arrays import FloatArray, IntArray
-from pmbm.intervals import SHARE
-from pmbm.metrics.core.family import Family, Tally, Work
+from pmbm.metrics.core.family import Family, Tally, Work, share
 from pmbm.metrics.core.formulas import NO_MATCH, NO_TRACKS, NO_TRUTH, Ratio
 from pmbm.metrics.core.result import Metric
 from pmbm.metrics.core.scene import ScoredScene
@@ -234,12 +233,9 @@ FAMILY: Final = Family(
     rule="SIAP attributes; a track follows the nearest object inside the gate",
     count=_count,
     metrics=(
-        Metric(
+        share(
             name="siap_completeness",
-            unit="1",
-            direction="higher",
             default=False,
-            bounds=SHARE,
             question="What share of objects has a track?",
             formula=Ratio("tracked", "truths", NO_TRUTH),
         ),
@@ -251,12 +247,10 @@ FAMILY: Final = Family(
             question="How many tracks has a tracked object (1 is best)?",
             formula=Ratio("associated", "tracked", NO_MATCH),
         ),
-        Metric(
+        share(
             name="siap_spuriousness",
-            unit="1",
             direction="lower",
             default=False,
-            bounds=SHARE,
             question="What share of tracks follows nothing?",
             formula=Ratio("spurious", "tracks", NO_TRACKS),
         ),
@@ -284,12 +278,9 @@ FAMILY: Final = Family(
             question="How often does an object change its track, per time tracked?",
             formula=Ratio("track_changes", "time_tracked", NO_MATCH),
         ),
-        Metric(
+        share(
             name="siap_longest_segment",
-            unit="1",
-            direction="higher",
             default=False,
-            bounds=SHARE,
             question="What share of its life is an object's longest track?",
             formula=Ratio("longest_segment", "lifetime", "no object lives for two frames"),
         ),
