@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import dataset_options
+from pmbm.cli import dataset_options, options
 from pmbm.cli.many import ManyValues
 
 if TYPE_CHECKING:
@@ -27,12 +27,7 @@ Entries = dict[str, "Mapping[str, Trackers]"]
 
 
 @click.command(cls=ManyValues)
-@dataset_options.dataset
-@dataset_options.root("The dataset's folder, with its truth.")
-@dataset_options.detections("As for pmbm track.")
-@dataset_options.poses
-@dataset_options.classes
-@dataset_options.sequences
+@dataset_options.detected("The dataset's folder, with its truth.", "As for pmbm track.")
 @click.option(
     "--trackers",
     multiple=True,
@@ -64,7 +59,7 @@ Entries = dict[str, "Mapping[str, Trackers]"]
     help="Of the rule's, to compare by.  [default: its first]",
 )
 @dataset_options.rule
-@click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
+@options.figures
 @click.option("--markdown", metavar="FILE|-", help="Write the tables as Markdown.")
 @dataset_options.jobs
 def command(

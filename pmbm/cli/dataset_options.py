@@ -8,10 +8,13 @@ from typing import Any, Final
 
 import click
 
-Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+from pmbm.cli.options import FILE, FOLDER, Decorator, jobs
 
-FOLDER: Final = click.Path(path_type=Path, file_okay=False)
-FILE: Final = click.Path(path_type=Path, dir_okay=False)
+__all__ = [
+    "FILE", "FOLDER", "classes", "dataset", "detected", "detections", "jobs", "poses", "root",
+    "rule", "sequences",
+]  # fmt: skip
+
 ROOT: Final = click.Path(path_type=Path)
 """A folder; of Waymo, also the one file that holds the truth."""
 
@@ -26,7 +29,6 @@ sequences: Final = click.option(
     "--sequences", multiple=True, metavar="NAME...", help="[default: all there are]"
 )
 rule: Final = click.option("--rule", help="One of the dataset's own.  [default: its first]")
-jobs: Final = click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
 
 
 def root(help_text: str, *, kind: click.Path = ROOT, required: bool = True) -> Decorator:
@@ -37,3 +39,16 @@ def root(help_text: str, *, kind: click.Path = ROOT, required: bool = True) -> D
 def detections(help_text: str, *, required: bool = True) -> Decorator:
     """The option for the detections."""
     return click.option("--detections", metavar="PATH", required=required, help=help_text)
+
+
+def detected(root_help: str, detections_help: str, *, kind: click.Path = ROOT) -> Decorator:
+    """The argument and the options of a command that reads a dataset's detections."""
+    parts = (dataset, root(root_help, kind=kind), detections(detections_help), poses, classes,
+             sequences)  # fmt: skip
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for part in reversed(parts):
+            command = part(command)
+        return command
+
+    return decorate

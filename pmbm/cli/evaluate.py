@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from pmbm.cli import dataset_options
+from pmbm.cli import dataset_options, options
 from pmbm.cli.many import ManyValues
 
 Figures = Mapping[str, "float | None"]
@@ -31,7 +31,7 @@ Figures = Mapping[str, "float | None"]
     help="One of the dataset's own, for kitti iou3d, bev, iou2d or devkit.  [default: its first]",
 )
 @click.option("--each", is_flag=True, help="A row for every sequence, too.")
-@click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
+@options.figures
 @dataset_options.jobs
 def command(
     dataset_name: str,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from pmbm.cli import dataset_options
+from pmbm.cli import dataset_options, options
 from pmbm.cli.many import ManyValues
 
 if TYPE_CHECKING:
@@ -48,9 +48,9 @@ FORMATS: Final[dict[str, Writer]] = {"csv": _csv, "parquet": _parquet, "mcap": _
     "--format", "form", type=click.Choice(list(FORMATS)), default="csv", show_default=True
 )
 @click.option("--out", type=dataset_options.FOLDER, required=True, help="Folder for the files.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--trials", type=click.IntRange(min=1), default=1, show_default=True)
-@click.option("--level", help="A level of the scenario's swept parameter, instead of its own.")
+@options.seed
+@options.trials
+@options.level
 @dataset_options.root("The dataset's folder.", required=False)
 @dataset_options.detections("As for pmbm track.", required=False)
 @dataset_options.poses

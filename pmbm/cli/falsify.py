@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import settings
+from pmbm.cli import options, settings
+from pmbm.cli.options import FILE
 
 if TYPE_CHECKING:
     from pmbm.sim.search.falsify import Badness, Finding, Knob
@@ -17,13 +18,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("scenario_name", metavar="SCENARIO|FILE.toml")
-@click.option(
-    "--tracker",
-    "tracker_name",
-    default="pmbm",
-    show_default=True,
-    metavar="NAME|MODULE:FACTORY|exec:COMMAND",
-)
+@options.tracker
 @settings.option
 @click.option("--metric", default="gospa", show_default=True, help="What to make worse.")
 @click.option(
@@ -49,10 +44,10 @@ if TYPE_CHECKING:
 @click.option(
     "--trials", type=click.IntRange(min=1), default=1, show_default=True, help="Of each scenario."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@options.seed
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="The file to write.  [default: NAME_falsified.toml]",
 )
 def command(

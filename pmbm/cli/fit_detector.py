@@ -23,14 +23,11 @@ _SEED = 7
 
 
 @click.command(cls=ManyValues)
-@dataset_options.dataset
-@dataset_options.root("The dataset's folder.", kind=FOLDER)
-@dataset_options.detections(
-    "Detections; {class} stands for the class's name where each class has its own."
+@dataset_options.detected(
+    "The dataset's folder.",
+    "Detections; {class} stands for the class's name where each class has its own.",
+    kind=FOLDER,
 )
-@dataset_options.poses
-@dataset_options.classes
-@dataset_options.sequences
 @click.option(
     "--held-back", multiple=True, metavar="NAME...", help="Sequences to judge the fit by, not used."
 )

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import settings
+from pmbm.cli import options, settings
+from pmbm.cli.options import FILE
 from pmbm.cli.settings import configured
 from pmbm.wording import counted, duration
 
@@ -40,10 +41,10 @@ _PILOT = 10
 @click.option("--alpha", type=float, help="Probability of a wrong verdict.  [default: 0.01]")
 @click.option("--max-trials", type=int, help="Undecided after so many.  [default: 600]")
 @click.option("--seed", type=click.IntRange(min=0), help="[default: the study's]")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@options.jobs
 @click.option(
     "--baseline",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="The stored baseline.  [default: STUDY.baseline.json]",
 )
 @click.option(
@@ -59,14 +60,8 @@ _PILOT = 10
     metavar="INDEX",
     help="Show one trial of these trackers, as the gate names it.",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("reports"),
-    show_default=True,
-    help="Folder for a replay.",
-)
-@click.option("--junit", type=click.Path(path_type=Path, dir_okay=False), help="JUnit XML.")
+@options.folder("a replay")
+@click.option("--junit", type=FILE, help="JUnit XML.")
 @click.option("--github", is_flag=True, help="Annotations.  [default: on in GitHub Actions]")
 @click.option("--bisect", metavar="GOOD..BAD", help="Name the first commit that fails.")
 def command(

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmbm.cli import settings
+from pmbm.cli import options, settings
+from pmbm.cli.options import FILE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,19 +34,19 @@ KINDS = ("scene", "hidden", "errors")
     multiple=True,
     default=("pmbm",),
     show_default=True,
-    metavar="NAME|MODULE:FACTORY|exec:COMMAND",
+    metavar=options.TRACKER,
     help="A tracker to draw; give it several times for several panels.",
 )
 @settings.option
 @click.option(
     "--frame", type=click.IntRange(min=0), help="[default: the one with the most hidden objects]"
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--level", type=float, help="A level of the swept parameter.  [default: the file's]")
+@options.seed
+@options.level
 @click.option("--dark", is_flag=True, help="For a dark page.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="FILE.svg or FILE.png.  [default: reports/NAME-KIND.png]",
 )
 def command(
@@ -55,7 +56,7 @@ def command(
     settings: tuple[str, ...],
     frame: int | None,
     seed: int,
-    level: float | None,
+    level: str | None,
     dark: bool,
     out: Path | None,
 ) -> None:

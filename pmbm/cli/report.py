@@ -6,22 +6,19 @@ from pathlib import Path
 
 import click
 
+from pmbm.cli import options
+from pmbm.cli.options import FILE
+
 
 @click.command()
-@click.argument("store", type=click.Path(path_type=Path, dir_okay=False), metavar="STORE.sqlite")
+@click.argument("store", type=FILE, metavar="STORE.sqlite")
 @click.option(
     "--study",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="FILE.toml",
     help="The study's file, beside which its scenarios' files are.  [default: STORE.toml]",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("reports"),
-    show_default=True,
-    help="Folder for the page.",
-)
+@options.folder("the page")
 @click.option("--markdown", metavar="FILE|-", help="Also write Markdown for a pull request.")
 @click.option(
     "--worst",

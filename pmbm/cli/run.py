@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import INTERRUPTED, settings
+from pmbm.cli import INTERRUPTED, options, settings
+from pmbm.cli.options import FILE
 from pmbm.wording import counted
 
 if TYPE_CHECKING:
@@ -40,30 +41,24 @@ HEADLINE = (
 
 @click.command()
 @click.argument("scenarios", nargs=-1, required=True, metavar="NAME|FILE.toml|MODULE:SOURCE...")
-@click.option("--trials", type=click.IntRange(min=1), default=1, show_default=True)
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@options.trials
+@options.seed
 @click.option(
     "--tracker",
     "trackers",
     multiple=True,
     default=("pmbm", "argoverse"),
     show_default=True,
-    metavar="NAME|MODULE:FACTORY|exec:COMMAND",
+    metavar=options.TRACKER,
     help="A tracker to run; give it several times to compare. The first is compared with the rest.",
 )
 @settings.option
-@click.option("--level", help="A level of the scenario's swept parameter, instead of its own.")
-@click.option("--json", "json_file", metavar="FILE|-", help="Write the figures as JSON.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("reports"),
-    show_default=True,
-    help="Folder for the page.",
-)
+@options.level
+@options.figures
+@options.folder("the page")
 @click.option(
     "--log",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="FILE.mcap|FILE.rrd",
     help="Write the replayed trial for a viewer too: Foxglove or Rerun.",
 )
@@ -82,7 +77,7 @@ HEADLINE = (
     show_default=True,
     help="Run the replayed trial of pmbm once more, to show where it expects undetected objects.",
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@options.jobs
 def command(
     scenarios: tuple[str, ...],
     trials: int,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmbm.cli import options
+
 if TYPE_CHECKING:
     from pmbm.sim import Scenario
 
@@ -15,16 +17,10 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("name", required=False, metavar="[NAME|FILE.toml]")
 @click.option("--schema", is_flag=True, help="Print the JSON Schema of scenario files.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--level", type=float, help="A level of the swept parameter.  [default: the file's]")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("reports"),
-    show_default=True,
-    help="Folder for the picture.",
-)
-def command(name: str | None, schema: bool, seed: int, level: float | None, out: Path) -> None:
+@options.seed
+@options.level
+@options.folder("the picture")
+def command(name: str | None, schema: bool, seed: int, level: str | None, out: Path) -> None:
     """List what ships, or show what one scenario stresses and draw it.
 
     \b

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import INTERRUPTED
+from pmbm.cli import INTERRUPTED, options
+from pmbm.cli.options import FILE
 from pmbm.wording import counted, duration
 
 if TYPE_CHECKING:
@@ -19,27 +20,21 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path, dir_okay=False), metavar="STUDY.toml")
+@click.argument("file", type=FILE, metavar="STUDY.toml")
 @click.option(
     "--store",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="Where results go; run again to resume.  [default: STUDY.sqlite]",
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@options.jobs
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, in place of --jobs.")
 @click.option("--dry-run", is_flag=True, help="Count the trials and estimate the time.")
 @click.option("--replay", type=click.IntRange(min=0), metavar="INDEX", help="Show one trial.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("reports"),
-    show_default=True,
-    help="Folder for a replay.",
-)
+@options.folder("a replay")
 @click.option(
     "--export",
     "export_file",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="Write the scores as .csv or .parquet when done.",
 )
 def command(

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import dataset_options, settings
-from pmbm.cli.dataset_options import FOLDER
+from pmbm.cli import dataset_options, options, settings
 from pmbm.cli.many import ManyValues
+from pmbm.cli.options import FILE, FOLDER
 
 if TYPE_CHECKING:
     from pmbm.datasets import Dataset
@@ -20,38 +20,22 @@ if TYPE_CHECKING:
 
 
 @click.command(cls=ManyValues)
-@dataset_options.dataset
-@dataset_options.root("The dataset's folder.")
-@dataset_options.detections(
-    "Detections; {class} stands for the class's name where each class has its own."
+@dataset_options.detected(
+    "The dataset's folder.",
+    "Detections; {class} stands for the class's name where each class has its own.",
 )
-@dataset_options.poses
-@dataset_options.classes
-@dataset_options.sequences
 @click.option("--out", type=FOLDER, required=True, help="Folder for the results.")
-@click.option(
-    "--tracker",
-    "tracker_name",
-    default="pmbm",
-    show_default=True,
-    metavar="NAME|MODULE:FACTORY|exec:COMMAND",
-)
+@options.tracker
 @settings.option
 @click.option(
     "--config",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="FILE.toml|DETECTOR",
     help="The tracker's parameters; a table [CLASS] holds those of one class alone.  Or the name "
     "of a detector that a preset ships for.  [default: what ships for this tracker on this "
     "dataset, if anything]",
 )
-@click.option(
-    "--mode",
-    type=click.Choice(["online", "batch"]),
-    default="online",
-    show_default=True,
-    help="Report each frame as it comes, or look back from the end.",
-)
+@options.mode
 @click.option(
     "--false-cost",
     type=click.FloatRange(min=0.0, min_open=True),

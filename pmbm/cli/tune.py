@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import INTERRUPTED, dataset_options
-from pmbm.cli.dataset_options import FILE
+from pmbm.cli import INTERRUPTED, dataset_options, options
 from pmbm.cli.many import ManyValues
+from pmbm.cli.options import FILE
 
 if TYPE_CHECKING:
     from pmbm.cli.tuning import Gains, Logged, Simulated, Spread
@@ -29,21 +29,10 @@ _OF_DATASETS = ("root", "detections", "poses", "kind", "sequences", "rule", "mod
 @dataset_options.detections("As for pmbm track.", required=False)
 @dataset_options.poses
 @click.option("--class", "kind", metavar="CLASS", help="The dataset's class to tune for.")
-@click.option(
-    "--sequences",
-    multiple=True,
-    metavar="NAME...",
-    help="[default: all there are]",
-)
+@dataset_options.sequences
 @dataset_options.rule
-@click.option("--mode", type=click.Choice(["online", "batch"]), default="online", show_default=True)
-@click.option(
-    "--tracker",
-    "tracker_name",
-    default="pmbm",
-    show_default=True,
-    metavar="NAME|MODULE:FACTORY|exec:COMMAND",
-)
+@options.mode
+@options.tracker
 @click.option(
     "--config",
     type=FILE,

@@ -20,17 +20,27 @@ def _object(title: str, **properties: Any) -> dict[str, Any]:
     }
 
 
+def _numbers(title: str, names: str) -> dict[str, Any]:
+    """An object of numbers, each named by one letter."""
+    return _object(title, **dict.fromkeys(names, _NUMBER))
+
+
+def _unused(kind: str) -> dict[str, Any]:
+    """A list of things that Foxglove draws and that we never write."""
+    return _list({"title": f"foxglove.{kind}Primitive", "type": "object"})
+
+
 def _list(items: Mapping[str, Any]) -> dict[str, Any]:
     return {"type": "array", "items": items}
 
 
 _TIME: Final = _object("time", sec=_COUNT, nsec={**_COUNT, "maximum": 999_999_999})
-_VECTOR2: Final = _object("foxglove.Vector2", x=_NUMBER, y=_NUMBER)
-_VECTOR3: Final = _object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_POINT3: Final = _object("foxglove.Point3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_TURN: Final = _object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
+_VECTOR2: Final = _numbers("foxglove.Vector2", "xy")
+_VECTOR3: Final = _numbers("foxglove.Vector3", "xyz")
+_POINT3: Final = _numbers("foxglove.Point3", "xyz")
+_TURN: Final = _numbers("foxglove.Quaternion", "xyzw")
 _POSE: Final = _object("foxglove.Pose", position=_VECTOR3, orientation=_TURN)
-_COLOUR: Final = _object("foxglove.Color", r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
+_COLOUR: Final = _numbers("foxglove.Color", "rgba")
 _CUBE: Final = _object("foxglove.CubePrimitive", pose=_POSE, size=_VECTOR3, color=_COLOUR)
 _LINE: Final = _object(
     "foxglove.LinePrimitive",
@@ -60,14 +70,14 @@ _ENTITY: Final = _object(
     lifetime=_object("duration", sec={"type": "integer"}, nsec=_COUNT),
     frame_locked=_FLAG,
     metadata=_list(_object("foxglove.KeyValuePair", key=_TEXT, value=_TEXT)),
-    arrows=_list({"title": "foxglove.ArrowPrimitive", "type": "object"}),
+    arrows=_unused("Arrow"),
     cubes=_list(_CUBE),
-    spheres=_list({"title": "foxglove.SpherePrimitive", "type": "object"}),
-    cylinders=_list({"title": "foxglove.CylinderPrimitive", "type": "object"}),
+    spheres=_unused("Sphere"),
+    cylinders=_unused("Cylinder"),
     lines=_list(_LINE),
-    triangles=_list({"title": "foxglove.TriangleListPrimitive", "type": "object"}),
+    triangles=_unused("TriangleList"),
     texts=_list(_WRITING),
-    models=_list({"title": "foxglove.ModelPrimitive", "type": "object"}),
+    models=_unused("Model"),
 )
 
 _SCENE_UPDATE: Final = _object(
