@@ -136,7 +136,8 @@ def _short(value: object) -> str:
 
 
 def notes_of(error: BaseException) -> tuple[str, ...]:
-    """What was added to an error for people (`BaseException.add_note`): part of no message."""
+    """The notes added to an error for people (`BaseException.add_note`), which are no part of its
+    message."""
     return tuple(getattr(error, "__notes__", ()))
 
 

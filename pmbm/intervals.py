@@ -1,4 +1,4 @@
-"""How sure a mean over trials or a figure over recordings is: intervals and p-values.
+"""Intervals and p-values of means over trials and of figures over recordings.
 
 An interval is made for what the values can be (`Scale`): Student's t for measurements; for counts,
 which may be rare, a gamma interval with the counts' own dispersion; for values that are equal in
@@ -56,14 +56,15 @@ SHARE: Final = Scale(0.0, 1.0)
 
 
 class Uncertainty(Protocol):
-    """What is known of a mean."""
+    """A mean with its interval and p-value."""
 
     def ends(self, level: float = LEVEL) -> Ends | None:
-        """Its interval; None where there is none."""
+        """The interval's ends; None where there is none."""
         ...
 
     def p_value(self) -> float:
-        """Two-sided, against a mean of zero: 1 less the level at which the interval reaches it."""
+        """The two-sided p-value against a mean of zero: 1 less the level at which the interval
+        reaches it."""
         ...
 
 
@@ -207,7 +208,8 @@ def _least(holds: Callable[[float], bool]) -> float:
 
 
 def of_mean(values: FloatArray, scale: Scale) -> Uncertainty | None:
-    """What values of some trials say of the mean over all trials; None of fewer than two."""
+    """The uncertainty of a mean over all trials, from the values of some; None of fewer than
+    two."""
     n = len(values)
     if n < 2:
         return None

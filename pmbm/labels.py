@@ -1,4 +1,4 @@
-"""What an object can be."""
+"""Labels of objects."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final
 
 
 class Label(enum.IntEnum):
-    """What an object is; the datasets' classes map onto these in their adapters."""
+    """The kind of an object, which adapters map their datasets' classes to."""
 
     CAR = 0
     TRUCK = 1

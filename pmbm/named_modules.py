@@ -24,7 +24,7 @@ def import_named(name: str) -> ModuleType:
 
 
 def find_named(name: str) -> ModuleSpec | None:
-    """Where `import_named` would find a top-level module; it is not imported."""
+    """The spec of a top-level module that `import_named` would import."""
     with _current_folder().named(name):
         return importlib.util.find_spec(name)
 

@@ -1,4 +1,4 @@
-"""Where a result comes from: enough to make it again."""
+"""Provenance of a result: enough to make it again."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def made_with(*more: str) -> str:
 
 @functools.cache
 def _versions(*packages: str) -> dict[str, str]:
-    """Those installed, with their versions."""
+    """The versions of those that are installed."""
     found = {}
     for package in packages:
         try:

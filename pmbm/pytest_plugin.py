@@ -111,7 +111,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture
 def outcome(request: pytest.FixtureRequest) -> Outcome:
-    """What a tracker did over trials of a scenario: `outcome.mean("id_switches")`."""
+    """The outcome of a tracker over trials of a scenario: `outcome.mean("id_switches")`."""
     from pmbm.testing import outcome_of
 
     source, factory, settings = request.param
@@ -152,7 +152,7 @@ _TELL_EVERY = 5.0
 
 
 def _progress(config: pytest.Config) -> Callable[[str, int, int], None] | None:
-    """Says now and then how far a gate is; None where no terminal shows it."""
+    """A progress callback for a gate; None where no terminal shows it."""
     import time
 
     reporter = config.pluginmanager.getplugin("terminalreporter")
@@ -200,7 +200,7 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
 
 
 def _subject(item: pytest.Item) -> Any:
-    """What a scenario test looked at: an outcome, or a gate that has something to show."""
+    """The outcome or gate that a scenario test looked at."""
     found = getattr(item, "funcargs", {})
     for name in ("outcome", "tracking_gate"):
         subject = found.get(name)
@@ -223,7 +223,7 @@ def _attach_replay(item: pytest.Item, report: Any, subject: Any) -> None:
 
 
 def _name(thing: Any) -> str:
-    """What a scenario or a tracker is called in a test's id."""
+    """The name of a scenario or a tracker in a test's id."""
     if isinstance(thing, str):
         return thing
     name = getattr(thing, "name", None) or getattr(thing, "__qualname__", None)

@@ -125,7 +125,7 @@ class ScoreModel:
 
     @staticmethod
     def uninformative() -> ScoreModel:
-        """Whatever the score, it says nothing."""
+        """A score model that tells objects and clutter apart by nothing."""
         return ScoreModel(knot=np.zeros(1), log_odds=np.zeros(1), base_rate=0.5)
 
     @staticmethod

@@ -37,7 +37,7 @@ def recording_seed(seed: int, trial: int) -> int:
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Within, `random` and `numpy.random` start from `seed`; afterwards they are as before.
+    """Start `random` and `numpy.random` from `seed` within a block, and restore them afterwards.
 
     One thread at a time: the state belongs to the process.
     """

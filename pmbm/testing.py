@@ -1,4 +1,4 @@
-"""What scenario tests look at: the outcome of trials, and a gate against regressions.
+"""Subjects of scenario tests: the outcome of trials, and a gate against regressions.
 
 The pytest plugin makes these; they may be used without it as well.
 """
@@ -43,7 +43,7 @@ class ShownTrial:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One trial: what was recorded and what the tracker made of it."""
+    """The recording of one trial and the tracker's tracks over it."""
 
     trial: int
     recording: Recording
@@ -90,7 +90,7 @@ class Outcome:
         return list(self._known[metric])
 
     def mean(self, metric: str) -> float:
-        """Its mean over the trials that define it.
+        """The mean of a metric over the trials that define it.
 
         Raises AssertionError where no trial does.
         """
@@ -98,11 +98,11 @@ class Outcome:
         return sum(values) / len(values)
 
     def min(self, metric: str) -> float:
-        """Its least value."""
+        """The least value of a metric."""
         return min(self._defined(metric))
 
     def max(self, metric: str) -> float:
-        """Its greatest value."""
+        """The greatest value of a metric."""
         return max(self._defined(metric))
 
     def interval(self, metric: str) -> tuple[float, float]:
@@ -118,7 +118,7 @@ class Outcome:
         return found.low, found.high
 
     def measure(self, function: Callable[[Recording, TrackSequence], float]) -> list[float]:
-        """One's own measure of each trial."""
+        """The values of a measure of one's own over the trials."""
         return [function(run.recording, run.tracks) for run in self.runs]
 
     def worst(self, metric: str | None = None) -> int:
@@ -218,7 +218,7 @@ _kept_outcome = lru_cache(maxsize=_KEPT)(_outcome)
 
 @dataclass(eq=False)
 class TrackingGate:
-    """Says whether a tracker got worse, in a test.
+    """A gate in a test: whether a tracker got worse.
 
     folder, test, node : where the test is, a name for its baselines, and its node id.
     update : store the tracker under test as the new baseline.

@@ -1,4 +1,4 @@
-"""What a tracker is, and how one is run over a recording."""
+"""The tracker protocol, and running a tracker over a recording."""
 
 from __future__ import annotations
 

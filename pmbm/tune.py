@@ -70,7 +70,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several values, at least two, without an order."""
+    """A set of values, at least two, without an order."""
 
     values: tuple[Any, ...]
 
@@ -134,7 +134,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Tuned:
-    """What a search found.
+    """The result of a search.
 
     parameters : those of the best attempt; empty where nothing beat the defaults.
     value, default_value : the objective there, and with the defaults.

@@ -75,7 +75,7 @@ _Frame = TypeVar("_Frame", bound="Detections | GroundTruth | Tracks")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Detections:
-    """What a detector says of one frame.
+    """The detections of one frame.
 
     time : seconds.
     position (N,3) : box centres in the world, m.
@@ -163,7 +163,7 @@ class Detections:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GroundTruth:
-    """What is really there at one time.
+    """The objects that are really there at one time.
 
     time : seconds.
     id (N,) : int64, unique in the frame, the same object through the recording.
@@ -242,7 +242,7 @@ class GaussianMixture:
         return cls(log_weight=np.zeros(0), mean=np.zeros((0, 4)), cov=np.zeros((0, 4, 4)))
 
     def take(self, rows: ArrayLike) -> GaussianMixture:
-        """Only these components (indices or a mask), in this order."""
+        """The same with these components only (indices or a mask), in this order."""
         return _take(self, rows)
 
     def intensity(self, points: ArrayLike) -> FloatArray:
@@ -267,7 +267,7 @@ class GaussianMixture:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tracks:
-    """What a tracker says of one frame.
+    """The tracks of one report.
 
     time : seconds.
     id (K,) : int64, at least 0, unique in the frame, the same object through the run.
@@ -333,7 +333,7 @@ class Tracks:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrackSequence(Sequence[Tracks]):
-    """What a tracker said over a recording: one `Tracks` per step, in order of time.
+    """The reports of a tracker over a recording: one `Tracks` per step, in order of time.
 
     steps : the reports.
     frame (S,) : the truth frame each report belongs to, strictly increasing.
@@ -493,7 +493,7 @@ class Site:
 
     @property
     def latency(self) -> float:
-        """Of the slowest sensor, s."""
+        """The latency of the slowest sensor, s."""
         return max((one.latency for one in self.sensors), default=0.0)
 
 

@@ -123,7 +123,7 @@ def _numbers(value: Any) -> Iterator[float]:
 
 
 def _problem(given: Any, kinds: tuple[Any, ...]) -> tuple[str | None, str | None] | None:
-    """What was expected, and a hint, where the value is none of these; None where it is one."""
+    """The expectation and hint that a value fails; None where it fails none."""
     for kind in kinds:
         if kind in _NUMBERS:
             allowed, words = _NUMBERS[kind]

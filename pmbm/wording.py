@@ -20,7 +20,7 @@ def duration(seconds: float) -> str:
 
 
 def expected_of(problem: Mapping[str, Any]) -> str:
-    """What was expected, in our words, by one of pydantic's `errors()`."""
+    """The expectation, in our words, behind one of pydantic's `errors()`."""
     found = problem.get("ctx", {})
     match problem["type"]:
         case "too_short":

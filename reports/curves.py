@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MetricCurve:
-    """One metric over the levels of one parameter.
+    """The values of one metric over the levels of one parameter.
 
     levels : numbers, or words that are drawn at equal distances.
     lines : tracker -> an estimate per level.
@@ -36,7 +36,7 @@ class MetricCurve:
 
 
 def curve_figure(curve: MetricCurve, parameter: str, *, dark: bool = False) -> Figure:
-    """One metric against one parameter, for a column of a page."""
+    """A figure of one metric against one parameter, for a column of a page."""
     from matplotlib.figure import Figure
 
     colours = colours_of(dark)

@@ -27,7 +27,7 @@ _FEWEST = 20
 
 @dataclass(frozen=True)
 class Realism:
-    """What the two-sample test says.
+    """The result of the two-sample test.
 
     same_truth : real against modelled boxes of the same recordings.
     real, model : areas under the curve of real against other real recordings, and of real against

@@ -1,4 +1,4 @@
-"""One frame from above, drawn with matplotlib in the replay's own style."""
+"""Drawings of one frame from above with matplotlib, in the replay's own style."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FONTS = ("Inter", "Helvetica Neue", "Helvetica", "Arial", "Liberation Sans", "D
 
 @contextlib.contextmanager
 def styled() -> Iterator[None]:
-    """Within it, figures are made and saved in the project's style, the same bytes every time."""
+    """Make and save figures in the project's style, the same bytes every time."""
     import matplotlib
     from matplotlib import font_manager
 
@@ -80,7 +80,7 @@ _DASHES: tuple[_Dashes, ...] = ("-", "--", ":", "-.")
 
 
 def _sensor_styles(site: Site) -> list[tuple[str, _Dashes]]:
-    """What a legend says of detections, by sensor where there are several, and their lines."""
+    """The legend's words and the lines of detections, by sensor where there are several."""
     if not site.sensors:
         return [("detection", "-")]
     return [
@@ -97,7 +97,7 @@ def add_legend(
     tracks: bool,
     unknown: bool = False,
 ) -> None:
-    """One quiet line under the picture that says what the marks are."""
+    """Add one quiet line under the picture that says what the marks are."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -145,7 +145,7 @@ def heat_opacity(density: FloatArray) -> FloatArray:
 
 
 def add_heat_scale(axes: Axes, colours: dict[str, str]) -> None:
-    """What the heat's opacity means, inside the picture's lower right corner."""
+    """Add the scale of the heat's opacity inside the picture's lower right corner."""
     from matplotlib.colors import to_rgb
 
     scale = axes.inset_axes((0.76, 0.075, 0.2, 0.028), zorder=13)

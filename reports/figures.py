@@ -167,7 +167,7 @@ def hidden_counts(
 
 
 def never_detected(recording: Recording, frame: int) -> NDArray[np.bool_]:
-    """Which of a frame's objects no detection has shown up to then."""
+    """The objects of a frame that no detection has shown up to then."""
     first = first_detection(recording)
     return np.array(
         [first.get(i, frame + 1) > frame for i in recording.truth[frame].id.tolist()], dtype=bool
@@ -217,7 +217,7 @@ def draw_tracks(
 
 
 def report_at(sequence: TrackSequence, frame: int) -> Tracks | None:
-    """What the tracker said of a frame; None where it was not stepped."""
+    """The tracker's report of a frame; None where it was not stepped."""
     steps = np.flatnonzero(sequence.frame == frame)
     return sequence[int(steps[0])] if len(steps) else None
 

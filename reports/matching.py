@@ -1,4 +1,5 @@
-"""Which object each track stands for in a frame, and since when each object is known."""
+"""The object that each track stands for in a frame, and the frame since when each object is
+known."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ MISS_DISTANCE = 4.0
 
 @dataclass(frozen=True)
 class Switch:
-    """In `frame` the object is followed under another track id than before."""
+    """A frame in which the object is followed under another track id than before."""
 
     frame: int
     object: int

@@ -90,5 +90,5 @@ TRACKERS = 5
 
 
 def tracker_colour(colours: dict[str, str], index: int) -> str:
-    """Of the tracker in this place of a report's order."""
+    """The colour of the tracker in this place of a report's order."""
     return colours[f"tracker-{index % TRACKERS}"]

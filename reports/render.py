@@ -57,7 +57,7 @@ def replay_page(replay: ReplayPage) -> str:
 
 @dataclass(frozen=True)
 class ReplayView:
-    """What the template needs of a replay."""
+    """The values of a replay that the template needs."""
 
     name: str
     title: str

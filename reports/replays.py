@@ -1,4 +1,4 @@
-"""One trial to look at: recorded again, tracked again, scored again."""
+"""Replays of one trial: recorded again, tracked again, scored again."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def trial_page(
 
 
 def problems(results: Sequence[TrialResult]) -> tuple[str, ...]:
-    """Which trackers raised, in which trials, a line each, with what is known besides."""
+    """The trackers that raised, and in which trials, a line each, with what is known besides."""
     return tuple(
         "; ".join(
             [

@@ -1,4 +1,4 @@
-"""What the sensor cannot see in a frame, as polygons."""
+"""Polygons of what the sensor cannot see in a frame."""
 
 from __future__ import annotations
 

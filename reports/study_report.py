@@ -45,7 +45,7 @@ SETTINGS_IN_FULL = 3
 
 @dataclass(frozen=True)
 class StudyFinding:
-    """What one tracker's comparison with the reference shows in one scenario.
+    """The comparison of one tracker with the reference in one scenario.
 
     verdict : better or worse where any cell says so after Holm's adjustment over all cells and
         trackers, and none says the opposite.
@@ -184,12 +184,12 @@ def leading_metric(summaries: Sequence[Summary]) -> str:
 
 
 def p_value(difference: Estimate) -> float:
-    """Two-sided, against no difference; 1 where there is no interval at any level."""
+    """The two-sided p-value against no difference; 1 where there is no interval at any level."""
     return 1.0 if difference.uncertainty is None else difference.uncertainty.p_value()
 
 
 def holm(p_values: Sequence[float], alpha: float = ALPHA) -> list[bool]:
-    """Which of the hypotheses Holm's step-down procedure rejects."""
+    """The hypotheses that Holm's step-down procedure rejects."""
     rejected = [False] * len(p_values)
     order = sorted(range(len(p_values)), key=p_values.__getitem__)
     for rank, index in enumerate(order):

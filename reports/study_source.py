@@ -36,7 +36,7 @@ def stored_report(
     worst: int = 3,
     reference: str | None = None,
 ) -> StudyReport:
-    """What a store holds, as a report shows it; also while the study still runs.
+    """The report of a store, also while the study still runs.
 
     resolve : turns the names of scenarios, with their swept values, into Sources.
     study : the study's file; by default of the store's name, beside it.

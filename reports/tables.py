@@ -69,7 +69,7 @@ class Text:
 
     @property
     def spread(self) -> str:
-        """What stands behind the mean."""
+        """The spread to write behind the mean."""
         return f"± {self.half}" if self.half else self.ends
 
     def __str__(self) -> str:
@@ -96,7 +96,7 @@ class ShownDifference:
 
 @dataclass(frozen=True)
 class Row:
-    """One line: an estimate per tracker, a difference per tracker that is compared."""
+    """A table's line: an estimate per tracker, a difference per tracker that is compared."""
 
     name: str
     unit: str
@@ -226,7 +226,7 @@ def difference(
 
 
 def judge(value: Estimate, sign: int) -> Verdict:
-    """What a paired difference shows: better or worse only where its interval excludes 0."""
+    """The verdict of a paired difference: better or worse only where its interval excludes 0."""
     if sign == 0 or value.mean is None or value.uncertainty is None:
         return "tie"
     if value.low is None or value.high is None:

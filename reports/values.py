@@ -1,4 +1,4 @@
-"""What a report shows: sections of results, and trials to replay."""
+"""Values that a report shows: sections of results, and trials to replay."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReplayPage:
-    """One trial to look at, frame by frame.
+    """The frames of one trial to look at.
 
     recording : what happened and what the detector said of it.
     tracks : tracker -> what it said; the order is the order on the page.
@@ -53,7 +53,7 @@ class ReplayPage:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Section:
-    """One scenario's results.
+    """The results of one scenario.
 
     name : of the scenario.
     stresses : one sentence, what it is hard for.

@@ -118,7 +118,7 @@ class RoadJitter(Form):
 
 
 class Command(Form):
-    """What a driver is told at a time: a lane to change to, a speed to aim at."""
+    """An order to a driver at a time: a lane to change to, a speed to aim at."""
 
     time: NotNegative
     """s at which it is given"""
@@ -226,7 +226,7 @@ class NetworkEntry(Body):
 
 
 class Move(Form):
-    """One stretch of a scripted path: speed and heading change evenly over it."""
+    """A stretch of a scripted path over which speed and heading change evenly."""
 
     seconds: Positive
     """that it takes"""
@@ -299,7 +299,7 @@ class Births(Body):
 
 
 class Surroundings(Form):
-    """What every kind of scene may have."""
+    """The keys that every kind of scene may have."""
 
     sensor: SensorForm = SensorForm()
     """what the sensor can see, and where it stands"""

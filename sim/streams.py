@@ -25,7 +25,7 @@ _SMALLEST = 2.0**-54
 
 
 class Purpose(enum.IntEnum):
-    """What a stream is for; the numbers are part of every recording's identity."""
+    """The purpose of a stream; the numbers are part of every recording's identity."""
 
     TRAFFIC = 0
     MISS = 1
@@ -79,7 +79,7 @@ class Streams:
 
 @dataclass(frozen=True, eq=False)
 class StreamMembers:
-    """Which rows of a flat table belong to which object.
+    """The rows of a flat table that belong to each object.
 
     frame (R,) : absolute frame of each row, ascending within an object.
     object_id (R,) : whose row it is.

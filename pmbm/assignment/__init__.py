@@ -187,7 +187,7 @@ def _check_options(
 
 
 def kernel() -> Literal["compiled", "reference"]:
-    """Which of the two kernels runs."""
+    """The name of the kernel that runs."""
     return "reference" if kernels.native is None else "compiled"
 
 

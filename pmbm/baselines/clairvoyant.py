@@ -43,7 +43,7 @@ class ClairvoyantConfig:
 
 @dataclass
 class _Known:
-    """What is known of one object: its filter over [x, y, vx, vy], and its last detection."""
+    """The filter over [x, y, vx, vy] of one object, and its last detection."""
 
     kalman: Any
     detections: Detections

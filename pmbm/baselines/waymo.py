@@ -32,7 +32,7 @@ class WaymoTracker:
         self._boxes = skeleton_tracker(self.config, vertical=True, coasting=False)
 
     def step(self, detections: Detections, /) -> Tracks:
-        """One frame's detections in, the tracks reported after it out.
+        """Advance by one frame's detections, and report.
 
         Raises InputError, the state untouched, where time runs backwards, and where tracks times
         detections of a label exceed `MOST_PAIRS`.

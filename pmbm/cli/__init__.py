@@ -144,7 +144,7 @@ def _refuse_missing_parts() -> None:
 
 @contextmanager
 def _warnings_in_a_line() -> Iterator[None]:
-    """What is odd about a user's input is said without the place in the code."""
+    """Show an InputWarning as one line, without the place in the code."""
     import warnings
 
     from pmbm.errors import InputWarning

@@ -37,7 +37,7 @@ def rule_of(dataset: Dataset, name: str | None) -> ScoringRule:
 def score_sequence(
     dataset: Dataset, sequence: str, kind: str, results: Path, rule: str | None
 ) -> Evaluation:
-    """One sequence of one class, by a rule.
+    """The scores of one sequence and class by a rule.
 
     Raises InputError for results of image boxes alone, by a rule that compares more."""
     by = rule_of(dataset, rule)
@@ -58,7 +58,7 @@ def score_run(
     mode: str = "online",
     recording: Recording | None = None,
 ) -> dict[str, Evaluation]:
-    """One sequence tracked, written in the dataset's format and scored: class -> its scores.
+    """Track one sequence, write it in the dataset's format, and score it: class -> its scores.
 
     recording : the sequence without its truth, where it has been read before.
     A bound sees the truth, with the detections' origins by overlap.

@@ -36,7 +36,7 @@ _AWAY: Final = np.linspace(5.0, 70.0, 14)
 
 @dataclass(frozen=True)
 class Detector:
-    """One class's detections.
+    """The detections of one class.
 
     scores : quantiles .05, .25, .5, .75, .95 of the raw scores.  boxes : per frame.
     """
@@ -64,7 +64,8 @@ class Detector:
         return {"scores": list(self.scores), "boxes": self.boxes}
 
     def differs(self, other: Detector) -> str | None:
-        """In a few words, how another's detections differ from these; None where they do not."""
+        """The differences of another's detections from these in a few words; None where there are
+        none."""
         if len(self.scores) < len(_QUANTILES) or len(other.scores) < len(_QUANTILES):
             return None
         here, there = np.array(self.scores), np.array(other.scores)
@@ -125,7 +126,7 @@ def heed_detector(
 
 
 def _differences(known: Mapping[str, Detector], seen: Mapping[str, Detector]) -> dict[str, str]:
-    """Of each class that differs, how."""
+    """The differences of each class that differs."""
     found = {kind: known[kind].differs(here) for kind, here in seen.items() if kind in known}
     return {kind: how for kind, how in found.items() if how is not None}
 
@@ -144,7 +145,7 @@ def _hopeless(tracker: ConfiguredTracker, here: Detector) -> bool:
 def read_detectors(
     value: Any, kinds: Sequence[str], file: Path | None = None
 ) -> Mapping[str, Detector]:
-    """Of each class, what a preset's table says; classes that it does not know are left out.
+    """The detector of each class that a preset's table describes and that is known.
 
     Raises InputError for a table that is none.
     """

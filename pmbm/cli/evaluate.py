@@ -110,7 +110,7 @@ def _show(title: str, table: Mapping[str, Mapping[str, Figures]]) -> None:
 
 
 def undefined_lines(reasons: Mapping[str, str]) -> Iterator[str]:
-    """What stands behind the dashes of a row: a line for each reason."""
+    """A line for each reason why figures of a row are undefined."""
     for reason in dict.fromkeys(reasons.values()):
         figures = [name for name, why in reasons.items() if why == reason]
         yield f"no {', '.join(figures)}: {reason}"

@@ -164,7 +164,7 @@ def badness_of(
 
 
 def _at_rest(document: Mapping[str, Any], key: str, least: float) -> float:
-    """What the document says at a dotted key; the least value where it says nothing."""
+    """The document's value at a dotted key; the least value where there is none."""
     table: Any = document
     for part in key.split("."):
         if not isinstance(table, Mapping) or part not in table:

@@ -256,7 +256,7 @@ def _command(
     name: str,
     min_iou: float,
 ) -> str:
-    """What makes the same profile again."""
+    """The command that makes the same profile again."""
     words: list[Any] = [dataset, "--root", root, "--detections", detections]
     if poses is not None:
         words += ["--poses", poses]

@@ -104,7 +104,7 @@ def _page() -> Iterator[str]:
 
 
 def _parameters(family: Family) -> str:
-    """What the family counts with by default, as its values say it."""
+    """The parameters that the family counts with by default, from its values."""
     import numpy as np
 
     from pmbm.metrics.core.family import Work

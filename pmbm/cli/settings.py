@@ -54,7 +54,7 @@ def parsed(settings: Sequence[str]) -> dict[str, Any]:
 
 
 def shown_name(name: str, settings: Sequence[str]) -> str:
-    """What a tracker with parameters is called in tables."""
+    """The name of a tracker with parameters, for tables."""
     return f"{name} ({', '.join(settings)})" if settings else name
 
 

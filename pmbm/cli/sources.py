@@ -1,4 +1,4 @@
-"""How the commands turn a name and overrides into a recording's source."""
+"""Recordings' sources from the names and overrides that commands are given."""
 
 from __future__ import annotations
 

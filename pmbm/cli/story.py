@@ -1,4 +1,4 @@
-"""What `pmbm run --explain` prints: one track's life in a trial."""
+"""The output of `pmbm run --explain`: one track's life in a trial."""
 
 from __future__ import annotations
 

@@ -225,7 +225,7 @@ _LINE_EVERY = 30.0
 
 
 def _line_now_and_then(name: str) -> Any:
-    """Says how far a study is, for the log of whatever runs it."""
+    """A progress callback that prints a line now and then, for logs."""
     import time
 
     said = time.monotonic()

@@ -1,4 +1,5 @@
-"""What `pmbm tune` tunes on: recordings of scenarios, or a dataset's sequences by its own rule."""
+"""The problems of `pmbm tune`: recordings of scenarios, or a dataset's sequences by its own
+rule."""
 
 from __future__ import annotations
 
@@ -92,7 +93,7 @@ class Simulated:
         return _mean(self.values(tracker))
 
     def gains(self, tracker: ConfiguredTracker) -> Gains:
-        """What `tracker` changes on these recordings."""
+        """The differences that `tracker` makes on these recordings."""
         count = len(self.recordings) // len(self.sources)
         before, after = (
             [values[k : k + count] for k in range(0, len(values), count)]
@@ -202,7 +203,7 @@ class Logged:
 
     @property
     def advice(self) -> str:
-        """Where to see whether the gain holds elsewhere."""
+        """The place to look whether the gain holds elsewhere."""
         return (
             "These sequences cannot say whether the gain holds elsewhere: compare with the "
             "defaults on others."
@@ -227,7 +228,7 @@ def _score_sequence(
     rule: str | None,
     mode: str,
 ) -> Evaluation:
-    """One sequence of the one class."""
+    """The scores of one sequence and the one class."""
     trackers = {Label(dataset.labels[0]): tracker}
     (scored,) = score_run(dataset, sequence, trackers, rule, mode, recording).values()
     return scored
@@ -242,6 +243,6 @@ def _more_is_better(metric: str, direction: str) -> bool:
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    """Undefined where one of them is: a mean over fewer is of other recordings."""
+    """The mean; undefined where one of the values is."""
     defined = [value for value in values if value is not None]
     return sum(defined) / len(defined) if len(defined) == len(values) else None

@@ -37,11 +37,11 @@ DATASETS: Final = {
 
 
 class Dataset(Protocol):
-    """What every adapter offers; it reads when it is asked, a sequence at a time."""
+    """The protocol of a dataset's adapter, which reads a sequence when it is asked for."""
 
     @property
     def name(self) -> str:
-        """That of `DATASETS`."""
+        """The dataset's name in `DATASETS`."""
 
     @property
     def rules(self) -> Mapping[str, ScoringRule]:
@@ -69,10 +69,11 @@ class Dataset(Protocol):
         """One sequence's tracks in the dataset's own format; the path of what was written."""
 
     def read(self, sequence: str, folder: Path) -> TrackSequence:
-        """What `write` wrote, in the world."""
+        """The tracks of a sequence from the files that `write` wrote, in the world."""
 
     def submit(self, sequences: Sequence[str], folder: Path) -> Path:
-        """What `write` wrote of these sequences as the one file to hand in, in the same folder."""
+        """Pack what `write` wrote of these sequences into the one file to hand in, in the same
+        folder."""
 
     def compared(self, sequence: str, kind: str, folder: Path) -> ComparedSequence:
         """Truth and a result of one class, as the dataset's own rules compare them."""

@@ -33,7 +33,7 @@ _LARGEST_MEMBER: Final = 2**30
 
 @dataclass(frozen=True)
 class Place:
-    """Where in a dataset a value is read: what an error about it names."""
+    """The place in a dataset's files that an error about a value names."""
 
     file: Path
     frame: object = None
@@ -261,7 +261,7 @@ def json_list(value: Any, place: Place, name: str | None = None) -> list[Any]:
 
 
 def json_key(value: Mapping[str, Any], key: str, place: Place) -> Any:
-    """What stands under `key`, which must be there."""
+    """The value under `key`, which must be there."""
     if key not in value:
         raise place.error("a field is missing", field=key, hint=nearest_hint(key, value, "field"))
     return value[key]

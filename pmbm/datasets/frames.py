@@ -1,4 +1,4 @@
-"""From what a dataset's reader found, frame by frame, to a `Recording`: shared by all of them."""
+"""Recordings from the boxes and poses that a dataset's reader found, frame by frame."""
 
 from __future__ import annotations
 

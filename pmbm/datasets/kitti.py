@@ -434,7 +434,7 @@ def _with_image_boxes(objects: KittiObjects, calibration: CameraCalibration) -> 
 
 
 def _first(objects: KittiObjects, rows: BoolArray, path: Path) -> Place:
-    """Where the first of these rows stands."""
+    """The place of the first of these rows."""
     row = int(np.argmax(rows))
     return Place(path, frame=int(objects.frame[row]), object_id=int(objects.id[row]))
 

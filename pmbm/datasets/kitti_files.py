@@ -99,7 +99,7 @@ class KittiObjects:
         return len(self.frame)
 
     def take(self, rows: Sequence[int]) -> KittiObjects:
-        """Only these rows; the regions stay."""
+        """The table with these rows only; the regions stay."""
         index = np.asarray(rows, dtype=np.int64)
         return KittiObjects(
             type=tuple(self.type[i] for i in index),

@@ -1,5 +1,4 @@
-"""What the datasets of driving logs share: frames with stamps and poses, boxes with names, in and
-out of the world."""
+"""The frames, boxes and folders that datasets of driving logs share, in and out of the world."""
 
 from __future__ import annotations
 
@@ -76,7 +75,7 @@ class Timeline:
 
     @property
     def box_poses(self) -> tuple[Pose, ...]:
-        """Of the frame that boxes are given in."""
+        """The poses of the frame that boxes are given in."""
         return (STANDING,) * len(self.poses) if self.world_boxes else self.poses
 
 
@@ -106,7 +105,7 @@ def checked_classes(
 
 @dataclass(frozen=True, kw_only=True)
 class LogFolder:
-    """What every adapter of driving logs is made with.
+    """The common fields and checks of adapters of driving logs.
 
     root : the dataset's folder.
     detections : where the detections are; None for none.

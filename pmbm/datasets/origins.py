@@ -1,4 +1,4 @@
-"""Which object each detection of a real recording most likely came from."""
+"""The object that each detection of a real recording most likely came from."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Where the sensor was: rigid motions between a sensor's frame (x forward, y left, z up) and the
-world, and what they do to upright boxes."""
+"""Rigid motions between a sensor's frame (x forward, y left, z up) and the world, for points and
+upright boxes."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ _LABELS: Final = {label.name.lower(): label for label in Label}
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What `table.toml` says of the tables beside it.
+    """The settings that `table.toml` gives for the tables beside it.
 
     frame : that boxes are given in.  rate : frames a second, where no table has times.
     ignored_columns : of any table.
@@ -98,7 +98,7 @@ class Table(LogFolder):
 
     @cached_property
     def settings(self) -> Settings:
-        """What `table.toml` says; the defaults where there is none."""
+        """The settings of `table.toml`; the defaults where there is none."""
         path = self.root / SETTINGS
         return read_settings(path) if path.exists() else Settings()
 
@@ -202,7 +202,7 @@ class Table(LogFolder):
         return read_table(path, what, self.settings.ignored_columns)
 
     def _parts(self, sequence: str, *, truth: bool, results: Path | None = None) -> Parts:
-        """What the sequence's tables say."""
+        """The columns of the sequence's tables."""
         files = {what: self._file(what, sequence) for what in ("truth", "detections", "poses")}
         if files["truth"] is None and (truth or files["detections"] is None):
             raise InputError(
@@ -260,7 +260,7 @@ class Table(LogFolder):
 
 
 def read_settings(path: Path) -> Settings:
-    """What a `table.toml` says.
+    """Read a `table.toml`.
 
     Raises InputError with file and key, and for an unknown key the nearest valid one.
     """

@@ -25,7 +25,7 @@ _SIZE: Final = {1: 8, 5: 4}
 
 
 class WireError(ValueError):
-    """Bytes that are no such message; `path` names the field."""
+    """An error about bytes that are no such message; `path` names the field."""
 
     def __init__(self, problem: str, path: str) -> None:
         super().__init__(problem)

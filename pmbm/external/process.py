@@ -145,7 +145,7 @@ class Process:
         return bytes(line)
 
     def _read(self) -> bytes:
-        """What the program has answered; raises where it has ended its output."""
+        """The bytes that the program has answered; raises where it has ended its output."""
         try:
             found = os.read(self._out, _CHUNK)
         except BlockingIOError:

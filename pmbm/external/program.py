@@ -115,7 +115,7 @@ def program_hint(name: str) -> str | None:
 
 
 class _ProgramTracker:
-    """One recording's tracker: the `Tracker` that a program is.
+    """The `Tracker` of one recording that a program is asked for.
 
     step_seconds : what the last step took, s: as the program says, else as the wall clock does.
     """

@@ -1,4 +1,4 @@
-"""What a frame made of the density, before anything is reported."""
+"""The density after a frame, before anything is reported."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from pmbm.validation import (
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction:
-    """How much the filter keeps in mind (Pang & Radha 2021, Sec. 2.7).
+    """The limits on what the filter keeps (Pang & Radha 2021, Sec. 2.7).
 
     gate : squared Mahalanobis distance of a measurement that may be a track's.
     max_hypotheses : global hypotheses kept per cluster; a parent of weight w has at most
@@ -65,7 +65,7 @@ class Reduction:
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Which tracks are reported.
+    """The rule by which tracks are reported.
 
     above : a track is reported when the probability that it exists and is an object exceeds this.
     exclusive : whether a track is held back where another is reported at its place, the centre of
@@ -87,7 +87,7 @@ class Report:
 
 @dataclass(frozen=True, kw_only=True)
 class PMBMConfig:
-    """What the tracker assumes of the world, and how much it keeps in mind, part by part.
+    """The model of the world that the tracker assumes, and its limits, part by part.
 
     The defaults are those that measured best on simulated scenes; `textbook()` and `paper()` are
     the two presets beside them.  The parts' protocols, and their other members, are in
@@ -185,7 +185,7 @@ class PMBMConfig:
         )
 
     def changed(self, values: Mapping[str, Any]) -> PMBMConfig:
-        """With other values, by dotted names: {"sensor.clutter_rate": 2.0}.
+        """A copy with other values, by dotted names: {"sensor.clutter_rate": 2.0}.
 
         Raises InputError, naming the field, for an unknown name or a value that does not fit.
         """

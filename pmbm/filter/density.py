@@ -26,7 +26,7 @@ BEFORE = -2
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RecycledFrom:
-    """Whose weight the components of a PPP were, before their Bernoullis were recycled.
+    """The tracks that the weight of PPP components was recycled from.
 
     It says nothing about where objects are and how many: a label, kept so that an object that is
     seen again may have its old id.
@@ -182,7 +182,7 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Marks:
-    """What the models of scores and of detection remember of H local hypotheses.
+    """The memories of the score and detection models for H local hypotheses.
 
     source (H,K) : P(class of the source), adding up to one; K = 1 where scores tell none apart.
     confidence (H,) : running mean of the scores of past detections; 0 where P_D does not depend on
@@ -215,7 +215,7 @@ class Marks:
 
     @staticmethod
     def of_source(source: FloatArray) -> Marks:
-        """Of sources of these classes (H,K), and neutral besides."""
+        """Marks of sources of these classes (H,K), and neutral besides."""
         return Marks(source, np.zeros(len(source)), np.ones(len(source)))
 
     @staticmethod
@@ -341,7 +341,7 @@ class Globals:
 
     @staticmethod
     def one_empty() -> Globals:
-        """One cluster with one hypothesis: that nothing was detected yet."""
+        """A table of one cluster with one hypothesis: that nothing was detected yet."""
         return Globals(
             np.zeros(1, np.intp), np.zeros(1), np.zeros(2, np.intp), np.zeros(0, np.intp)
         )
@@ -382,7 +382,8 @@ class Density:
     def initial(
         undetected: Mixture, *, clustering: bool = True, local: Locals | None = None
     ) -> Density:
-        """Nothing detected yet; `clustering=False` keeps all tracks in one cluster for ever.
+        """The density before the first detection; `clustering=False` keeps all tracks in one
+        cluster for ever.
 
         local : an empty table with the columns to keep; default, those of `Locals.empty()`.
         """

@@ -1,5 +1,7 @@
-"""What to report: tracks by their probabilities over all global hypotheses, and no two at one
-place.  The estimators of the literature are in `pmbm.filter.estimators`."""
+"""Reports: tracks by their probabilities over all global hypotheses, and no two at one place.
+
+The estimators of the literature are in `pmbm.filter.estimators`.
+"""
 
 from __future__ import annotations
 
@@ -253,7 +255,7 @@ def _suppress_overlaps(
 
 
 def _at_one_place(position: FloatArray, box: FloatArray) -> dict[int, list[int]]:
-    """Of each row, the others in whose box its centre is, or whose centre is in its."""
+    """For each row, the others whose box holds its centre or whose centre is in its box."""
     rivals: dict[int, list[int]] = {}
     if len(position) < 2:
         return rivals

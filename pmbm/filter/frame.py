@@ -1,4 +1,4 @@
-"""One frame of detections as the model sees it, before it meets the density."""
+"""The model's view of one frame of detections, before the density is updated."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _IN_VIEW = 0.02
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frame:
-    """One frame of detections, as the model sees it.
+    """The model's view of one frame of detections.
 
     time : s.  dt : s since the frame before; 0 for the first.
     sensor : the model of the sensor that it is of; detection : its P_D.
@@ -122,7 +122,7 @@ def detection_in(model: PMBMConfig, site: Site, name: str) -> Detection:
 def _read(
     model: PMBMConfig, sensor: Sensor, detections: Detections, scene: SceneDensity
 ) -> ScoredDetections:
-    """What the scores of a sensor's detections say, and its radial velocities of clutter."""
+    """The evidence of scores and of radial velocities in a sensor's detections."""
     scored = model.scores.read(detections, scene)
     if sensor.scores is not None:
         own = sensor.scores.read(scored.detections, scene)

@@ -17,7 +17,7 @@ _DETECTION, _SCORES = FixedDetection(), IgnoreScores()
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Transition:
-    """How objects move and live on over one interval.
+    """The transition over one interval: F, Q and P_S.
 
     F (D,D), Q (D,D) over [x, y, vx, vy]; survival : P_S over the interval.
     dt : s.  detection, scores : what becomes of the marks meanwhile.
@@ -73,7 +73,7 @@ def predict_undetected(
 
 
 def predict_marks(marks: Marks, transition: Transition) -> Marks:
-    """What the models remember, one interval later."""
+    """The models' memories, one interval later."""
     source = transition.scores.predicted(marks.source, transition.dt)
     return transition.detection.predicted(replace(marks, source=source), transition.dt)
 

@@ -234,7 +234,7 @@ def _best(table: Globals, above: np.ndarray, cap: Index) -> np.ndarray:
 
 
 def _keep(table: Globals, rows: np.ndarray) -> Globals:
-    """Only the global hypotheses of this mask, their weights normalised again."""
+    """The table with the global hypotheses of this mask only, their weights normalised again."""
     if rows.all():
         return table
     count = np.diff(table.start)

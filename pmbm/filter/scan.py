@@ -1,4 +1,4 @@
-"""What the filter takes from one frame of detections."""
+"""The filter's input from one frame of detections."""
 
 from __future__ import annotations
 

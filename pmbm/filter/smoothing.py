@@ -88,7 +88,7 @@ def smooth(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Life:
-    """One track from its first report to its last detection, n steps.
+    """The n steps of one track from its first report to its last detection.
 
     first : its first step.  time (n,).  reported, detected (n,) : whether it was in a step; where
     it was not reported, a row repeats the last report.  mean (n,4), cov (n,4,4), box (n,5) : z,
@@ -233,7 +233,7 @@ def _backward(life: _Life, forward: _Forward) -> _Life:
 
 
 def _with_boxes(life: _Life) -> _Life:
-    """One size for the whole life, and height and heading with what came before and after."""
+    """Give a life one size, and smooth its height and heading."""
     seen = np.flatnonzero(life.detected)
     box = life.box.copy()
     box[:, 1:4] = box[seen, 1:4].mean(axis=0)
@@ -278,7 +278,7 @@ def _present(lives: Sequence[_Life], number: int) -> list[_Moment]:
 
 
 def _standing(rows: list[_Moment]) -> list[_Moment]:
-    """Where two lives are at one place, that of more detections."""
+    """Keep, of two lives at one place, that of more detections."""
     detections = [np.count_nonzero(life.detected) for life, _ in rows]
     claims = np.argsort(np.negative(detections), kind="stable")
     return [rows[row] for row in suppress_overlaps(*_places(rows), claims, len(rows))]

@@ -49,7 +49,7 @@ class GateEntry:
 
 @dataclass(frozen=True)
 class SceneReport:
-    """What the gate found in one scenario.
+    """The gate's findings in one scenario.
 
     decision : None where the candidate raised instead of tracking.
     error : what it raised, and in which trial.
@@ -74,7 +74,7 @@ class SceneReport:
 
 @dataclass(frozen=True)
 class GateReport:
-    """What the gate found: pass, fail or undecided, and why.
+    """The gate's verdict and its reasons: pass, fail or undecided.
 
     same_code : both trackers are the same code, which passes without a trial.
     """

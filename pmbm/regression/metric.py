@@ -1,4 +1,4 @@
-"""Which metrics a gate can judge: those that are bounded in every trial.
+"""The metrics that a gate can judge: those that are bounded in every trial.
 
 A metric without bounds (MOTA, GOSPA) can hide in one trial a disaster of any size, and no number
 of trials bounds its mean; such metrics are reported beside the gate and not judged by it.

@@ -1,4 +1,5 @@
-"""What a gate will take, before it runs: trials at least, and with the spread that a few show."""
+"""The cost of a gate before it runs: the least number of trials, and the number with the spread
+that a few show."""
 
 from __future__ import annotations
 

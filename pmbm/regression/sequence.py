@@ -36,7 +36,8 @@ _BISECTIONS = 50
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the first n trials prove, for every n; arrays (..., N), the trials on the last axis.
+    """The evidence of the first n trials, for every n; arrays (..., N), the trials on the last
+    axis.
 
     Each is one over the wealth of a gambler against a hypothesis: the hypothesis is rejected at a
     level, with at most that probability of error however often one looks, where it is not above.
@@ -50,7 +51,7 @@ class Evidence:
 
 
 def evidence(loss: ArrayLike, excess: ArrayLike, *, value_range: float, ceiling: float) -> Evidence:
-    """What paired trials prove after each of them.
+    """The evidence of paired trials after each of them.
 
     loss (..., N) : per trial, by how much the candidate was worse than the baseline, at least
         -value_range.

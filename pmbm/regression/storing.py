@@ -31,7 +31,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Change:
-    """What storing changes in one scenario.
+    """The change that storing makes in one scenario.
 
     verdict : of the new values against the old ones; None where these are not to be compared, for
         the `reason`.
@@ -112,7 +112,7 @@ def store_baseline(
 
 
 def _old(file: Path) -> StoredBaseline | None:
-    """What the file holds now; None where there is nothing, or nothing readable."""
+    """The baseline in the file now; None where there is nothing, or nothing readable."""
     try:
         return load_baseline(file)
     except InputError:

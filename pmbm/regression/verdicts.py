@@ -1,4 +1,4 @@
-"""From evidence to verdicts: the gate's rules, and Holm's correction over scenarios."""
+"""Verdicts from evidence: the gate's rules, and Holm's correction over scenarios."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """What is tolerated, and how sure one wants to be.
+    """The tolerated loss, and the probability of a wrong verdict.
 
     margin : loss tolerated, in the metric's unit, > 0; or
     relative_margin : as a share of the baseline's value, > 0.  Exactly one of the two.

@@ -12,7 +12,7 @@ from pmbm.regression.verdicts import Verdict
 
 @dataclass(frozen=True)
 class Commands:
-    """What a reader of a red gate may want to do next.
+    """The commands to print beside a failed gate.
 
     replay : of a scenario and a trial, the command that shows it.
     accept : the command that accepts the change, or None.

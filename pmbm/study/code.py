@@ -1,4 +1,4 @@
-"""Which code a result comes from: a hash of the sources that can change it."""
+"""A hash of the sources that can change a result."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ WITHOUT_EFFECT = (
 
 
 def code_version(modules: Iterable[str] = ()) -> dict[str, Any]:
-    """What computes a trial: digests of pmbm, pmbm.sim and the modules named, versions, platform.
+    """The identity of the code of a trial: digests of pmbm, pmbm.sim and the modules named,
+    versions, platform.
 
     modules : of the trackers in use ("package.module"), of which the whole package is hashed; a
         program's "exec:COMMAND" stands for the files that the command names.

@@ -49,14 +49,14 @@ class StudySweep(_Form):
 
 
 class Limits(_Form):
-    """Of one trial."""
+    """The limits of one trial."""
 
     seconds: Annotated[float, Field(gt=0)] | None = None
     megabytes: Annotated[float, Field(gt=0)] | None = None
 
 
 class GateForm(_Form):
-    """What `pmbm gate` tolerates; see `pmbm.regression.Rules`."""
+    """The rules of `pmbm gate`; see `pmbm.regression.Rules`."""
 
     metric: str = "ospa"
     bounds: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None

@@ -1,4 +1,4 @@
-"""How sure a difference over a dataset's sequences is: the paired jackknife."""
+"""The paired jackknife: intervals of differences over a dataset's sequences."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pmbm.metrics import Evaluation, combine
 
 @dataclass(frozen=True)
 class Difference:
-    """One tracker's metric over all sequences less another's.
+    """The difference of two trackers' metric over all sequences.
 
     value : None where either is undefined.
     low, high : 95 % interval; None where there is none, with the `reason`.

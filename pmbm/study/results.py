@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class StudyResults:
-    """What a store holds, as tables.
+    """The results in a store, as tables.
 
     name, seed, provenance, hash, document : of the study.
     total, done : trials that there are to be, and trials stored.

@@ -1,4 +1,4 @@
-"""Where recordings come from: how a source is asked for one, and one named as MODULE:SOURCE."""
+"""Sources of recordings, also those named as MODULE:SOURCE."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pmbm.types import Recording
 
 @runtime_checkable
 class Source(Protocol):
-    """Where recordings come from: a simulated scene or a dataset's log, alike.
+    """A source of recordings: a simulated scene or a dataset's log, alike.
 
     `record` is a pure function: equal arguments give recordings with equal digests.  One that takes
     a seed alone gets one of its own for every trial.  Sources travel to other processes, so they

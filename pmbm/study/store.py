@@ -41,7 +41,7 @@ _CHECKPOINT_EVERY = 8
 
 @dataclass(frozen=True)
 class StoreRow:
-    """What is kept of one trial.
+    """The stored row of one trial.
 
     outcome : "ok"; "tracker raised", with the results of the other trackers; or how it failed as a
         whole: "raised", "timeout", "memory" or "died".
@@ -63,7 +63,7 @@ class StoreRow:
 
 @dataclass(frozen=True)
 class Contents:
-    """What a store holds.
+    """The contents of a store.
 
     about : name, trials and provenance of the study, as it was last run.
     rows : those whose hash fits, by index.
@@ -222,7 +222,7 @@ def open_store(file: Path, study: Study) -> Iterator[Store]:
 
 
 def read_store(file: Path) -> Contents:
-    """What a store holds, also while a study runs into it.
+    """Read a store, also while a study runs into it.
 
     Raises InputError where it is none or damaged beyond its rows.
     """
@@ -257,12 +257,12 @@ def _reader(file: Path) -> sqlite3.Connection:
 
 
 def _log(file: Path) -> Path:
-    """Where SQLite keeps what the file has not taken in yet."""
+    """The file in which SQLite keeps what the store has not taken in yet."""
     return Path(f"{file}-wal")
 
 
 def _identity(file: Path) -> tuple[int, int] | None:
-    """Which file is there; None where there is none."""
+    """The identity of the file that is there; None where there is none."""
     try:
         found = file.stat()
     except FileNotFoundError:
@@ -399,7 +399,7 @@ def _only_driver(file: Path) -> Iterator[None]:
 
 @contextmanager
 def _named(file: Path, hint: str | None = None) -> Iterator[None]:
-    """Turns what SQLite refuses into one line."""
+    """Turn what SQLite refuses into one line."""
     try:
         yield
     except (sqlite3.Error, UnicodeDecodeError) as error:

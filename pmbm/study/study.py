@@ -184,7 +184,7 @@ def canonical(value: Any) -> str:
 
 
 def _identity(source: Any) -> Any:
-    """What tells a source from another of its name."""
+    """The identity that tells a source from another of its name."""
     document = getattr(source, "document", None)
     if isinstance(document, Mapping):
         return hashlib.sha256(canonical(document).encode()).hexdigest()

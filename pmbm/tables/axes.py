@@ -1,4 +1,4 @@
-"""From the frame that boxes are given in to the world, and back."""
+"""Turns between the frame that boxes are given in and the world."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Axes:
     translation: FloatArray
 
     def take(self, rows: IntArray) -> Axes:
-        """Those of these rows."""
+        """The axes of these rows."""
         return Axes(self.rotation[rows], self.translation[rows])
 
     def to_world(self, table: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -1,4 +1,4 @@
-"""From the cells of boxes to arrays: class, size, place, identity, velocity."""
+"""Arrays of class, size, place, identity and velocity from the cells of boxes."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from pmbm.tables.columns import COLUMNS, Column
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """One table as it was read.
+    """The cells of one table as it was read.
 
     what : its name in `COLUMNS`.
     table : a pyarrow Table.
@@ -50,7 +50,7 @@ class Cells:
         return InputError(f"{self.what}: {problem}", field=name, rows=rows, **details)
 
     def column(self, name: str) -> Column:
-        """What is asked of the column."""
+        """The definition of the column."""
         return next(column for column in COLUMNS[self.what] if column.name == name)
 
     def numbers(self, name: str, default: float | FloatArray | None = None) -> FloatArray:
@@ -176,7 +176,7 @@ class Cells:
         return whole.chunk(0) if hasattr(whole, "num_chunks") and whole.num_chunks else whole
 
     def _not_numbers(self, name: str, cells: Any) -> InputError:
-        """What is wrong with the first cell that is no number."""
+        """The error for the first cell that is no number."""
         for row, value in enumerate(cells.to_pylist()):
             if value is not None and not _is_number(value):
                 return self._bad(name, row, value)

@@ -173,5 +173,5 @@ def _different(key: NDArray[Any]) -> NDArray[Any]:
 
 
 def _starts(key: NDArray[Any]) -> IntArray:
-    """Where the runs of equal keys begin."""
+    """The places where runs of equal keys begin."""
     return np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]])[: len(key)])

@@ -1,4 +1,4 @@
-"""Which columns the tables of a recording have; SI units, radians."""
+"""The columns of the tables of a recording; SI units, radians."""
 
 from __future__ import annotations
 

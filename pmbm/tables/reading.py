@@ -1,4 +1,4 @@
-"""From tables to what a recording is made of."""
+"""Recordings' columns from tables."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def _poses(cells: Cells | None, frames: Clock) -> Poses:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Parts:
-    """What the values of a recording are made of.
+    """The columns that a recording is made from.
 
     key (F,), time (F,), stamp (F,) : of the frames, as `Clock` and `Poses` have them.
     pose (F,3) : x, y, yaw of the sensor.
@@ -486,7 +486,7 @@ def _origin(
 
 
 def _before(count: IntArray) -> IntArray:
-    """How many rows stand before each group."""
+    """The number of rows before each group."""
     return np.cumsum(count) - count
 
 

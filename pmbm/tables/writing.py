@@ -1,4 +1,4 @@
-"""From recordings and tracks to the columns of tables."""
+"""Columns of tables from recordings and tracks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the logs of all viewers share: integer stamps, a near origin, outlines, colours."""
+"""Integer stamps, a near origin, outlines and colours for the logs of all viewers."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class Boxes(_Table):
 
 @dataclass(frozen=True, eq=False)
 class Targets(_Table):
-    """What there is to be detected: R rows of truth in all frames, as the sensor meets them.
+    """The R rows of truth in all frames that there are to be detected, as the sensor meets them.
 
     frame (R,), row (R,), object_id (R,) : where the row stands in the scene.
     position (R,3), size (R,3), yaw (R,), velocity (R,2), label (R,) : as in `GroundTruth`.
@@ -88,7 +88,7 @@ class Targets(_Table):
 
     @property
     def members(self) -> StreamMembers:
-        """Which rows belong to which object."""
+        """The rows that belong to each object."""
         return StreamMembers(self.frame, self.object_id)
 
 
@@ -135,5 +135,5 @@ def in_view(site: Site, distance: FloatArray, bearing: FloatArray) -> NDArray[np
 
 
 def concatenate(tables: Sequence[Boxes]) -> Boxes:
-    """One table of all their rows."""
+    """Join tables into one of all their rows."""
     return Boxes(*(np.concatenate([getattr(t, f.name) for t in tables]) for f in fields(Boxes)))

@@ -1,4 +1,4 @@
-"""How far the scores of a recording can be trusted."""
+"""Calibration of the scores of a recording."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def _cars() -> Mapping[Label, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class FalseBoxes:
-    """What false boxes of a label are like.
+    """The sizes, headings and scores of false boxes of a label.
 
     range_profile : curve over range (m): relative density per square metre.
     score_mean : curve over range (m): mean of the confidence, a Beta variable.
@@ -110,7 +110,7 @@ class FalseBoxes:
 
 @dataclass(frozen=True, kw_only=True)
 class ClutterModel(FalseBoxes):
-    """How many false boxes there are, where and of what label.
+    """The number, places and labels of false boxes.
 
     rate : mean number a frame, over the whole field of view, companions and echoes not counted.
     persistent_share : of the mean number, the share that belongs to fixed places in the world;
@@ -148,7 +148,7 @@ class ClutterModel(FalseBoxes):
             )
 
     def of(self, label: Label) -> FalseBoxes:
-        """What false boxes of that label are like."""
+        """The model of false boxes of that label."""
         return self.label.get(label, self)
 
     @property
@@ -358,7 +358,8 @@ def _range_quantile(profile: Curve, site: Site, share: FloatArray) -> FloatArray
 
 
 def _effective_area(profile: Curve, site: Site) -> float:
-    """Area of the field of view, each square metre weighed by the profile over its peak, m^2."""
+    """The area of the field of view, each square metre weighed by the profile over its peak,
+    m^2."""
     edge = np.linspace(0.0, site.max_range, 513)
     middle = (edge[1:] + edge[:-1]) / 2
     mean = np.average(profile(middle), weights=middle) / max(profile.value)

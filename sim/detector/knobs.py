@@ -1,4 +1,4 @@
-"""What a knob of the detector model can be: a bounded number, or a curve over range or visibility.
+"""Kinds of knobs of the detector model: a bounded number, or a curve over range or visibility.
 
 Bounds stand once, in the annotation of the field; they are checked where a value is made and they
 show in the JSON Schema.
@@ -73,7 +73,7 @@ class Curve:
         return cls(at=(0.0,), value=(value,))
 
     def plain(self) -> float | dict[str, list[float]]:
-        """As a file says it."""
+        """The value as a file says it."""
         if len(self.value) == 1:
             return self.value[0]
         return {"at": list(self.at), "value": list(self.value)}

@@ -84,7 +84,7 @@ class DetectorModel:
         return without_proxies(self)
 
     def of(self, label: Label) -> ObjectModel:
-        """How objects of that label are detected."""
+        """The model of how objects of that label are detected."""
         return self.label.get(label, self.objects)
 
     def detect(
@@ -337,7 +337,7 @@ def _plain(part: Any) -> dict[str, Any]:
 
 
 def _plain_by_label(models: Mapping[Label, Any], shared: Any) -> dict[str, Any]:
-    """What the models of single labels have that the shared one has not."""
+    """The values of the models of single labels that differ from the shared one."""
     return {
         label.name.lower(): {
             key: value

@@ -1,4 +1,4 @@
-"""How a detector sees the objects that are there: missed, displaced, misjudged, doubled."""
+"""Detection of the objects that are there: misses, displacements, misjudgements, duplicates."""
 
 from __future__ import annotations
 
@@ -214,7 +214,7 @@ def sense(model: ObjectModel, seen: Targets, streams: Streams, false_boxes: Clut
 
 
 def _detected(model: ObjectModel, seen: Targets, streams: Streams) -> NDArray[np.bool_]:
-    """Which rows are detected (R,): a latent uniform of the object lies below its probability.
+    """Whether each row is detected (R,): a latent uniform of the object lies below its probability.
 
     For bursts the object keeps its latent value from frame to frame and renews it with the
     probability that gives misses their mean length; being uniform whenever it is looked at, it

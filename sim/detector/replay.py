@@ -30,7 +30,7 @@ class Replay:
 
     @property
     def name(self) -> str:
-        """Of the scene."""
+        """The scene's name."""
         return self.scene.name
 
     def record(self, seed: int, trial: int = 0) -> Recording:

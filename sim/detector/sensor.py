@@ -1,4 +1,4 @@
-"""What happens to whole frames: outages, lost and late deliveries, a clock and a pose that err."""
+"""Events of whole frames: outages, lost and late deliveries, errors of clock and pose."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ def arrivals(model: SensorModel, time: FloatArray, streams: Streams) -> IntArray
 
 
 def clock_error(model: SensorModel, frames: int, streams: Streams) -> FloatArray:
-    """How much later than its stamp each frame is measured (F,), s."""
+    """The delay of each frame's measurement after its stamp (F,), s."""
     return model.time_jitter * normal(streams.uniforms(Purpose.DROPOUT, frames, 3)[:, 2])
 
 
 def blind(model: SensorModel, scene: Scene, boxes: Boxes) -> BoolArray:
-    """Which boxes lie in a sector that is out at their time (R,)."""
+    """Whether each box lies in a sector that is out at its time (R,)."""
     time = np.array([frame.time for frame in scene.truth])
     out = (time >= model.outage_start) & (time < model.outage_start + model.outage_duration)
     pose = scene.sensor_pose[boxes.frame]

@@ -25,7 +25,7 @@ class Sample:
 
 
 def sample(evidence: Observations, keep: BoolArray) -> Sample:
-    """Those chances, and the hits among them."""
+    """The opportunities of a sample, and the hits among them."""
     number = np.cumsum(keep) - 1
     rows = keep[evidence.hits.chance]
     hits = evidence.hits.take(rows)

@@ -1,4 +1,4 @@
-"""How boxes err, fitted: centre, size and heading by moments, range by range."""
+"""Fitted errors of boxes: centre, size and heading by moments, range by range."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _lasting_share(standard: FloatArray, chances: Opportunities, persistence: fl
 
 
 def _fit_hidden_noise(error: FloatArray, visibility: FloatArray, bins: IntArray) -> float:
-    """How much more the centre errs when hidden (Gaussian maximum likelihood)."""
+    """The growth of the centre's error when hidden (Gaussian maximum likelihood)."""
     if np.ptp(visibility) == 0:
         return 0.0
 

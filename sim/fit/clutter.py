@@ -89,7 +89,7 @@ class CoOccurrence:
         }
 
     def alone(self, evidence: Observations) -> dict[int, float]:
-        """How many false boxes of each label come by themselves."""
+        """The number of false boxes of each label that come by themselves."""
         true = evidence.chances.label[evidence.hits.chance]
         count = {v: float(np.sum(evidence.falses.label == v)) for v in self.companion}
         for label, rest in count.items():

@@ -183,7 +183,8 @@ def between_real(
     draws: int = 4000,
     seed: int = 0,
 ) -> list[FitComparison]:
-    """What `bootstrap` says of two disjoint sets of real recordings, without any model.
+    """The comparison of `bootstrap` between two disjoint sets of real recordings, without any
+    model.
 
     The figures of those held back stand for the model's, those of all fitted ones for the real;
     the interval is that of two such sets drawn of the fitted ones.  What leaves it does so because

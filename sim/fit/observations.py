@@ -1,4 +1,4 @@
-"""What recordings with known origins say of their detector, as flat tables."""
+"""Observations of a detector in recordings with known origins, as flat tables."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Detected:
 
     @property
     def yaw_error(self) -> FloatArray:
-        """In [-pi, pi), rad."""
+        """The error of the heading in [-pi, pi), rad."""
         return wrap_angle(self.yaw - self.true_yaw)
 
 

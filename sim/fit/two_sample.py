@@ -1,4 +1,4 @@
-"""How well a classifier tells real detections from modelled ones.
+"""The classifier two-sample test between real detections and modelled ones.
 
 A classifier two-sample test (Lopez-Paz and Oquab, Revisiting classifier two-sample tests, 2017):
 where the held-out area under the curve is near one half, the two kinds cannot be told apart by

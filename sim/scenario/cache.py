@@ -43,7 +43,7 @@ _writes = itertools.count(1)
 
 @dataclass(frozen=True)
 class Entry:
-    """One file of the cache: a scene by scenario, seed and trial."""
+    """A file of the cache: one scene by scenario, seed and trial."""
 
     path: Path
     scenario: str
@@ -91,7 +91,7 @@ def cached(name: str, content: str, seed: int, trial: int, make: Callable[[], Sc
 
 
 def entries() -> Iterator[Entry]:
-    """What the cache holds, by name."""
+    """The entries of the cache, by name."""
     for path in sorted(cache_folder().glob("*-*-*-*.npz")):
         name, seed, trial, _ = path.stem.rsplit("-", 3)
         with contextlib.suppress(OSError, ValueError):
@@ -157,7 +157,7 @@ def _key(content: str, seed: int, trial: int) -> str:
 
 @functools.cache
 def _code_hash() -> str:
-    """Of every source file that a scene may depend on."""
+    """A hash of every source file that a scene may depend on."""
     from pmbm import geometry, labels, types, validation
 
     files = sorted(Path(__file__).parent.parent.rglob("*.py"))

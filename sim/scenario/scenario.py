@@ -324,7 +324,7 @@ def scenario_names() -> tuple[str, ...]:
 
 
 def catalogue_folder() -> Path:
-    """Where the catalogue's files are."""
+    """The folder of the catalogue's files."""
     from importlib.resources import files
 
     folder = Path(str(files("pmbm.sim"))) / "scenarios"

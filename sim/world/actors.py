@@ -1,4 +1,4 @@
-"""Who drives: our own vehicles, one class a size and kind, with pinned parameters.
+"""Our own vehicles, one class a size and kind, with pinned parameters.
 
 A class a size, because an object whose LENGTH is set on the instance keeps the collision radius of
 its class.  Every parameter of the driver model is pinned on our own classes, because creating an

@@ -177,7 +177,8 @@ def _radius(path: Trajectory) -> float:
 
 
 def _yields(tick: int, i: int, j: int, paths: Sequence[Trajectory], may_yield: int) -> int | None:
-    """Which of two objects that first touch at a tick is to brake for the other, if either can."""
+    """The one of two objects that first touch at a tick which is to brake for the other, if either
+    can."""
     ahead = {}
     for own, other in ((i, j), (j, i)):
         row, its = tick - paths[own].first, tick - paths[other].first
@@ -228,7 +229,7 @@ def _going_on(path: Trajectory, ticks: int) -> Trajectory:
 
 
 class _Drive:
-    """One object under way: it may fall behind its script, and never leaves its path."""
+    """The progress of one object, which may fall behind its script and never leaves its path."""
 
     def __init__(self, path: Trajectory, leaders: Sequence[Trajectory], dt: float) -> None:
         ahead = round(_FORESIGHT / dt)

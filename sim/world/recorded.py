@@ -53,7 +53,7 @@ def _read(
 
 
 def _state(path: Path) -> tuple[int, int]:
-    """What tells that a file has changed."""
+    """The file's time of change and size."""
     try:
         found = path.stat()
     except OSError as error:

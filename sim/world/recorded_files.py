@@ -27,7 +27,7 @@ _ASIDE = 1.0
 
 @dataclass(frozen=True, eq=False)
 class RecordedObject:
-    """One object of a file.
+    """An object of a file, with its samples.
 
     name : the file's own.
     size : length, width, height, m.
@@ -65,7 +65,7 @@ def read(path: Path, types: Sequence[Path], classes: Classes) -> tuple[RecordedO
 
 @dataclass(eq=False)
 class _Rows:
-    """What is collected of one object."""
+    """The samples collected of one object."""
 
     label: Label
     size: tuple[float, float, float]

@@ -1,4 +1,4 @@
-"""What a scene is: the truth of one run of the world, before any detector looked at it."""
+"""The truth of one run of the world, before any detector."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ class Traffic:
 
 @dataclass(eq=False)
 class _Log:
-    """What is written down while the clock runs: a row for each vehicle and tick."""
+    """The rows written down while the clock runs, one for each vehicle and tick."""
 
     number: dict[Vehicle, int] = field(default_factory=dict)
     """Of the vehicles in order of their first sight, held to the end: addresses are reused."""
@@ -333,7 +333,7 @@ def _enter(
     traffic: Traffic,
     streams: Streams,
 ) -> None:
-    """One copy of an actor: on the road from its time of spawning to that of despawning."""
+    """Drive one copy of an actor from its time of spawning to that of despawning."""
     luck = own_stream(streams, f"{name}:{copy}").random(3)
     born = max(round((actor.spawn + actor.jitter.spawn * (2 * luck[2] - 1)) * traffic.rate), 0)
     full_name = name if actor.count == 1 else f"{name}:{copy}"

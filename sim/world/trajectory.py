@@ -25,7 +25,7 @@ births, leave every other object its id, and with it its luck."""
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One object from its first tick to its last, in the world frame.
+    """The path of one object from its first tick to its last, in the world frame.
 
     id : the object's, in the truth.
     first : tick of row 0; rows are consecutive ticks.

@@ -26,7 +26,7 @@ _CLEARLY_VISIBLE = 0.9
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SensorView:
-    """What the sensor could see of the B tracks that were known before the last frame came.
+    """The visibility of the B tracks that were known before the last frame.
 
     track_id (B,), existence (B,) : as predicted, over all hypotheses.
     detection (B,) : P_D, if the object exists.  visible (B,) : its expected visible share.
@@ -213,7 +213,7 @@ def _hiders(
     track_id: IntArray,
     occluders: Sequence[FloatArray],
 ) -> IntArray:
-    """Who stands in the way of most lines of sight to the box of each hidden track.
+    """The track that hides most lines of sight to the box of each hidden track.
 
     A name for people to read; how much is hidden is the filter's own reckoning.
     """

@@ -1,4 +1,4 @@
-"""One track's life in plain words: born, detected, missed, doubted, reported, recycled."""
+"""A track's life in plain words: births, detections, misses, doubts, reports, recycling."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _RIVAL = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class _Moment:
-    """What one step did to the track.
+    """The changes that one step made to the track.
 
     what : "born", "detected", "missed" or "gone".  existence : before (predicted) and after.
     why : of a miss, what stood in the way, as far as is known.
@@ -74,7 +74,7 @@ def tell(
 def _moment(
     track_id: int, seen: Inspection, tracks: Tracks, frame: Detections, recycle_below: float
 ) -> _Moment | None:
-    """What the step did to the track, or None where the track is not in the tracker's mind."""
+    """The changes that the step made to the track; None where the density does not hold it."""
     looked = seen.sensor_view
     at = np.flatnonzero(looked.track_id == track_id)
     now = np.flatnonzero(seen.track_id == track_id)

@@ -1,1 +1,1 @@
-"""From the global hypotheses before a scan to those after it: gating, branching, clusters."""
+"""Global hypotheses over one scan: gating, branching, clusters."""

@@ -1,5 +1,4 @@
-"""From the global hypotheses before a scan, the parents, to those after it, their children: which
-measurement does each track take?"""
+"""The K best children of each global hypothesis: which measurement each track takes."""
 
 from __future__ import annotations
 

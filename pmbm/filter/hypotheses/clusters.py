@@ -1,5 +1,5 @@
-"""Independent clusters of tracks: joining those that a measurement ties together, and splitting
-off what no longer depends on anything else."""
+"""Independent clusters of tracks: joined where a measurement is in the gates of both, split where
+they have become independent."""
 
 from __future__ import annotations
 
@@ -336,7 +336,8 @@ def _groups(choice: Index, weight: FloatArray, tolerance: float) -> list[Index]:
 
 
 def _marginal(choice: Index, weight: FloatArray) -> Globals:
-    """One cluster of the distinct rows of a dense table, each with the weight of all like it."""
+    """A table of the distinct rows of a dense one, each with the weight of all that are equal to
+    it."""
     rows, which = np.unique(choice, axis=0, return_inverse=True)
     present = rows != ABSENT
     return Globals(
@@ -348,7 +349,7 @@ def _marginal(choice: Index, weight: FloatArray) -> Globals:
 
 
 def _rows_of(table: Globals, keep: np.ndarray) -> Globals:
-    """Only these rows, whole clusters of them, numbered from 0 again."""
+    """The table with these rows only, whole clusters of them, numbered from 0 again."""
     count = np.diff(table.start)
     cluster = table.cluster[keep]
     return Globals(

@@ -1,4 +1,4 @@
-"""Which measurements lie in the gate of which Gaussian, and what each pair weighs."""
+"""Pairs of Gaussians and the measurements in their gates, with their likelihoods."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class GatedPairs:
     innovation: Innovation
 
     def weighted(self, log_factor: FloatArray) -> GatedPairs:
-        """With the weights multiplied by exp(log_factor) (n,)."""
+        """The same with the weights multiplied by exp(log_factor) (n,)."""
         weight = self.log_weight + log_factor
         return GatedPairs(self.row, self.measurement, self.y, weight, self.innovation)
 

@@ -19,7 +19,7 @@ _LOG_2PI = float(np.log(2 * np.pi))
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Innovation:
-    """Where measurements of N Gaussians are expected: z ~ N(expected, L L').
+    """The predicted measurements of N Gaussians: z ~ N(expected, L L').
 
     expected (N,2) : H m.
     l11, l21, l22 (N,) : the lower Cholesky factor L of S.

@@ -41,7 +41,7 @@ class UpdatedPairs:
     cov: FloatArray
 
     def weighted(self, log_factor: FloatArray) -> UpdatedPairs:
-        """With the weights multiplied by exp(log_factor) (n,)."""
+        """The same with the weights multiplied by exp(log_factor) (n,)."""
         weight = self.log_weight + log_factor
         return UpdatedPairs(self.row, self.measurement, weight, self.mean, self.cov)
 

@@ -1,4 +1,4 @@
-"""Which track inherits the id of a reported one that it proves to explain.
+"""Inheritance of ids: the track that proves to explain what was reported takes over its id.
 
 A detection may continue an old track or begin a new one.  Both explanations are kept, as two
 Bernoullis that follow the same detections from then on, and the one believed first is reported.
@@ -28,7 +28,7 @@ _FORGOTTEN = 64
 
 @dataclass(frozen=True, eq=False, slots=True)
 class IdInheritance:
-    """Which tracks may take over whose id.
+    """The ids that tracks may take over from reported ones.
 
     reported_ids (N,) : ids of the tracks that have been reported, rising.
     candidate (D,) : ids of tracks that may inherit one, rising.

@@ -48,7 +48,7 @@ class BirthMap:
     def births(
         self, site: Site, view: View, dt: float | None, survival: Survival, memory: MapCells | None
     ) -> tuple[Mixture, MapCells]:
-        """With what ground that the map comes to cover may hold from before."""
+        """The births over an interval, and those in cells that the map newly covers."""
         cells = MapCells.of(site, view, self.spacing, memory)
         expected = 0.0 if dt is None else survival.alive(dt, self.rate)
         weight = expected * cells.births()

@@ -1,4 +1,4 @@
-"""How probably an object in view is detected, P_D (Pang & Radha 2021, Sec. 2.6)."""
+"""Models of the detection probability P_D in view (Pang & Radha 2021, Sec. 2.6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How states move and objects live on (Pang & Radha 2021, Sec. 2.5)."""
+"""Motion and survival models (Pang & Radha 2021, Sec. 2.5)."""
 
 from __future__ import annotations
 

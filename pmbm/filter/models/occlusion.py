@@ -1,4 +1,5 @@
-"""What other objects and walls hide: the expected visible share of a track, seen from the sensor.
+"""Occlusion by other objects and walls: the expected visible share of a track, seen from the
+sensor.
 
 The sensor's surroundings are cut into narrow bearings.  Every track believed to exist, and every
 static occluder, covers the bearings between its outermost corners, at the distance where the ray
@@ -55,7 +56,7 @@ NODES = _normal_points(24)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Glimpse:
-    """What can be seen of N Gaussians over places of undetected objects, each taken at k points.
+    """The visible share of N Gaussians over places of undetected objects, each taken at k points.
 
     Of a car-sized object as many bearings are open as of its points, so the Gaussians
     are those of a point drawn from the object: a little wider than those of its centre.
@@ -229,11 +230,11 @@ class Shadows:
         return np.where(count > 0, visible / np.maximum(count, 1), 1.0)
 
     def undetected(self, mean: FloatArray, cov: FloatArray) -> Glimpse:
-        """What is seen of objects that have no track, for Gaussians (N,4), (N,4,4)."""
+        """The visible share of objects that have no track, for Gaussians (N,4), (N,4,4)."""
         return self._glimpse(mean, cov[:, :2, :2] + CAR_SD**2 * np.eye(2))
 
     def _glimpse(self, mean: FloatArray, spread: FloatArray, own: Index | None = None) -> Glimpse:
-        """What is seen of Gaussians (N,4) whose points have the covariance `spread` (N,2,2).
+        """The visible share of Gaussians (N,4) whose points have the covariance `spread` (N,2,2).
 
         own (N,) : their own outlines, which do not hide them, or -1.
         """

@@ -1,4 +1,4 @@
-"""What each part of the tracker's model owes, and which members there are.
+"""The protocols of the model's parts, and their members by name.
 
 Letters of the shapes: D = `STATE`, the size of a state [x, y, vx, vy]; H local hypotheses (or rows
 of them); M measurements; N Gaussians; K classes of sources that scores tell apart, 1 where none.
@@ -60,7 +60,7 @@ class Members:
 
 @runtime_checkable
 class Motion(Protocol):
-    """How a state moves."""
+    """A motion model of single objects."""
 
     def transition(self, dt: float) -> tuple[FloatArray, FloatArray]:
         """F (D,D) and Q (D,D) over `dt` seconds."""
@@ -68,7 +68,7 @@ class Motion(Protocol):
 
 @runtime_checkable
 class Birth(Protocol):
-    """Where undetected objects appear, and in how much detail they are kept.
+    """A birth model, and the detail in which undetected objects are kept.
 
     A birth model may remember something from frame to frame (`memory`, None before the first).
     """
@@ -100,7 +100,7 @@ class Birth(Protocol):
 
 @runtime_checkable
 class Detection(Protocol):
-    """How probably an object in view is detected where nothing hides it, P_D."""
+    """A model of P_D, the probability that an object in view is detected where nothing hides it."""
 
     def of_undetected(self) -> float:
         """P_D of objects that were never detected."""
@@ -130,7 +130,7 @@ class Detection(Protocol):
 
 @runtime_checkable
 class Scores(Protocol):
-    """What scores and labels say of the sources of detections (Sec. 2.6)."""
+    """A model of the scores and labels of detections, given their sources (Sec. 2.6)."""
 
     @property
     def classes(self) -> int:

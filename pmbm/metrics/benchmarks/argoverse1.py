@@ -35,7 +35,7 @@ from pmbm.metrics.families.identity import IdentityCounts, identity_counts
 
 @dataclass(frozen=True, kw_only=True)
 class Argoverse1Counts:
-    """What the benchmark counts over a run of one class.
+    """The benchmark's counts over a run of one class.
 
     frames : frames in which either side has a box.
     clear, identity : events.

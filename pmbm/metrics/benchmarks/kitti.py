@@ -50,7 +50,7 @@ class KittiScene:
 
     @classmethod
     def plain(cls, scene: ScoredScene, overlap: FloatArray) -> KittiScene:
-        """With nothing ignored."""
+        """The scene with nothing ignored."""
         return cls(
             scene=scene,
             overlap=overlap,
@@ -59,7 +59,7 @@ class KittiScene:
         )
 
     def with_tracks(self, rows: BoolArray) -> KittiScene:
-        """Only these track rows."""
+        """The scene with these track rows only."""
         return KittiScene(
             scene=self.scene.with_rows(np.ones(len(self.scene.truth), np.bool_), rows),
             overlap=self.overlap[rows[self.scene.pairs.track]],
@@ -70,7 +70,7 @@ class KittiScene:
 
 @dataclass(frozen=True, kw_only=True)
 class KittiCounts:
-    """What the devkit counts over sequences.
+    """The devkit's counts over sequences.
 
     truths : truth rows that are not ignored.
     matches : matched pairs, those of ignored truth included.  misses, false_positives : rows.
@@ -266,7 +266,7 @@ def kitti_averages(
 
 
 def track_mean_scores(scene: ScoredScene) -> FloatArray:
-    """For each track row the mean score of its track, (K,)."""
+    """The mean score of each track row's track, (K,)."""
     ids = len(scene.tracks.ids)
     rows = np.bincount(scene.tracks.index, minlength=ids)
     total = np.bincount(scene.tracks.index, scene.tracks.score, minlength=ids)

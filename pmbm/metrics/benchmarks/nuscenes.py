@@ -51,7 +51,7 @@ SECONDS_PER_FRAME: Final = 0.5
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NuscenesScores:
-    """One class over all scenes.
+    """The scores of one class over all scenes.
 
     amota : mean of MOTAR over the 40 recall levels, 0 for those not reached.
     amotp : mean of MOTP over them, 2 m for those not reached.

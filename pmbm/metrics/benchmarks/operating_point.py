@@ -1,4 +1,4 @@
-"""What a threshold on a tracker's scores would change, and whether the scores are what they say.
+"""Scores at every threshold on a tracker's scores, and the calibration of these.
 
 A tracker that reports what is more probably true than not, by a probability that is honest, leaves
 nothing to be gained by a threshold: what one would gain is its regret.
@@ -26,7 +26,7 @@ _SURE: Final = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """One sequence of one class.
+    """The counts of one sequence and class at every threshold.
 
     errors (T,) : false, missed and switched boxes among what scores above each threshold.
     truths : boxes.  score (K,), true (K,) : of what was reported and counts.

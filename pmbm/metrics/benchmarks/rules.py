@@ -69,7 +69,7 @@ class ScoringRule:
         return {short: _figure(whole[name]) for short, name in self.shown.items()}
 
     def reasons(self, sequences: Sequence[Evaluation]) -> dict[str, str]:
-        """Of the same figures, why those are undefined that are."""
+        """The reasons why figures are undefined, by figure."""
         whole = combine(sequences)
         found = {short: whole[name].reason for short, name in self.shown.items()}
         return {short: reason for short, reason in found.items() if reason is not None}

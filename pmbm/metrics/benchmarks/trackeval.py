@@ -71,7 +71,7 @@ class SimilarScene:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackEvalCounts:
-    """What TrackEval adds up over sequences.
+    """TrackEval's counts, which add up over sequences.
 
     one_sided : truth or tracks are empty, where the program returns early.
     frames : 0 where one-sided.
@@ -158,7 +158,7 @@ def trackeval_matches(
 
 
 def _similar_enough(similarity: FloatArray, threshold: float) -> BoolArray:
-    """At least the threshold, less one rounding, and above nothing."""
+    """Whether similarities reach the threshold, less one rounding, and are above 0."""
     return (similarity >= threshold - _EPS) & (similarity > _EPS)
 
 

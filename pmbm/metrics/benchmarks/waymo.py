@@ -48,7 +48,7 @@ class WaymoScene:
     in_no_label_zone: BoolArray
 
     def within(self, low: float, high: float) -> WaymoScene:
-        """Only boxes, of either side on their own, with low <= distance < high, m."""
+        """The scene with boxes of low <= distance < high only, m, of either side on its own."""
         truth = _between(self.scene.truth, low, high)
         tracks = _between(self.scene.tracks, low, high)
         pairs = self.scene.pairs
@@ -78,7 +78,7 @@ def waymo_overlap(scene: ScoredScene) -> FloatArray:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WaymoCounts:
-    """What is counted at each of the C score cutoffs; sequences are combined by adding.
+    """The counts at each of the C score cutoffs, which add up over sequences.
 
     misses, false_positives, mismatches, matches, truths (C,) : events and rows.
     cost (C,) : over matches, the sum of 1 - IoU.
@@ -196,7 +196,7 @@ def waymo_scores(counts: WaymoCounts, cutoffs: FloatArray = CUTOFFS) -> WaymoSco
 def _run(
     sequence: WaymoScene, kept: BoolArray, least_overlap: float
 ) -> tuple[IntArray, int, float]:
-    """One pass over the sequence: matched pairs, mismatches, the sum of 1 - IoU.
+    """Match one sequence at one cutoff: matched pairs, mismatches, the sum of 1 - IoU.
 
     An object keeps the track of its last match, however long ago, while they overlap enough; the
     memory is one to one.  The rest is assigned by the largest sum of overlaps.

@@ -1,1 +1,1 @@
-"""What all metrics share: scenes, matching, formulas, values."""
+"""Scenes, matching, formulas and values that all metrics share."""

@@ -43,7 +43,7 @@ class Work:
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """What a family counted.
+    """A family's counts, parameters and series.
 
     counts : numbers, arrays, `Samples`; they add up over recordings.
     parameters : those it was counted with, by name.
@@ -56,7 +56,7 @@ class Tally:
 
     @classmethod
     def of(cls, counts: Mapping[str, Any], **parameters: Any) -> Tally:
-        """Without a series."""
+        """Counts without a series."""
         return cls(counts, parameters, {})
 
     @classmethod

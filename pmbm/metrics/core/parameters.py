@@ -14,7 +14,7 @@ _AT_LEAST_ONE: Final = ("gospa_order", "ospa_order", "tgospa_order", "occlusion_
 
 @dataclass(frozen=True, kw_only=True)
 class MetricParameters:
-    """What `evaluate` computes with; the defaults are those of the project's tables.
+    """The parameters of `evaluate`; the defaults are those of the project's tables.
 
     gospa_cutoff, gospa_order : c in m, p (alpha is 2).
     ospa_cutoff, ospa_order : c in m, p; of OSPA and OSPA(2).

@@ -171,7 +171,7 @@ class MetricValue:
 
     @property
     def rule(self) -> str:
-        """Whose rule, with which parameters, in one line."""
+        """The rule and its parameters in one line."""
         given = settings(self.parameters)
         return f"{self.variant}: {given}" if given else self.variant
 

@@ -22,7 +22,7 @@ from pmbm.types import GroundTruth, Recording, Tracks, TrackSequence
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoxRows:
-    """One side of the comparison over all frames.
+    """The boxes of one side of the comparison over all frames.
 
     frame, id (N,) : rows sorted by frame, then id; each id at most once in a frame.
     position (N,3), size (N,3), yaw (N,), velocity (N,2), label (N,) : as in `pmbm.types`.
@@ -46,7 +46,7 @@ class BoxRows:
         return len(self.id)
 
     def take(self, rows: ArrayLike) -> BoxRows:
-        """Only these rows (a mask, or indices in ascending order)."""
+        """The same with these rows only (a mask, or indices in ascending order)."""
         index = np.asarray(rows)
         return BoxRows(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
@@ -61,7 +61,7 @@ class BoxRows:
 
     @cached_property
     def index(self) -> IntArray:
-        """For each row the place of its id in `ids`, (N,)."""
+        """The place in `ids` of each row's id, (N,)."""
         return np.searchsorted(self.ids, self.id)
 
     @cached_property

@@ -21,7 +21,7 @@ from pmbm.metrics.core.scene import ScoredScene
 
 @dataclass(frozen=True, kw_only=True)
 class ClearCounts:
-    """What CLEAR MOT counts over a run.
+    """The counts of CLEAR MOT over a run.
 
     frames, truths, tracks : frames, and rows of either side.
     matches : matched pairs, those that are identity switches included.

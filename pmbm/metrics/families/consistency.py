@@ -104,7 +104,7 @@ def consistency(squares: ArrayLike, dimension: int) -> Consistency:
 
 
 def chi2_bounds(dimension: int, count: int) -> tuple[float, float]:
-    """Where 95 % of means of `count` independent normalised squares of `dimension` lie."""
+    """The bounds of 95 % of means of `count` independent normalised squares of `dimension`."""
     # Chi-square quantiles by the incomplete gamma function; scipy.stats is slow to import.
     low, high = 2 * gammaincinv(dimension * count / 2, [0.025, 0.975]) / count
     return float(low), float(high)

@@ -26,7 +26,7 @@ _EPS: Final = float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HotaCounts:
-    """What HOTA adds up at each of the A thresholds `ALPHAS`.
+    """The counts of HOTA at each of the A thresholds `ALPHAS`.
 
     true_positives, misses, false_positives (A,) : rows.
     association, association_recall, association_precision (A,) : over true positives, the sum of

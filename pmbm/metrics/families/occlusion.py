@@ -21,7 +21,7 @@ from pmbm.metrics.core.scene import ScoredScene
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OcclusionMeasures:
-    """What became of tracks while their objects were hidden.
+    """The fates of tracks while their objects were hidden.
 
     kept, lost : occlusions after which the object's first match had, or had not (or never came),
         the id of its last match before.
@@ -40,7 +40,7 @@ class OcclusionMeasures:
 
 @dataclass(frozen=True, slots=True)
 class Occlusion:
-    """One object out of sight for a while.
+    """A spell during which one object is out of sight.
 
     rows : of the scene's truth, one per hidden frame.
     begin, end : time of its last row in sight before, and of its first one after, s.

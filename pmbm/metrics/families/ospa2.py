@@ -94,7 +94,7 @@ def _presence(boxes: BoxRows, frames: int) -> BoolArray:
 
 
 def _last_frames(there: BoolArray, window: int) -> IntArray:
-    """In how many of the last `window` frames each id exists, (I,F)."""
+    """The number of the last `window` frames in which each id exists, (I,F)."""
     total: IntArray = np.cumsum(there, axis=1, dtype=np.int64)
     return total - np.pad(total, ((0, 0), (window, 0)))[:, : there.shape[1]]
 

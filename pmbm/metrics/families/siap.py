@@ -32,7 +32,7 @@ class SiapAssociation:
 
 @dataclass(frozen=True, kw_only=True)
 class SiapCounts:
-    """What the attributes are ratios of.
+    """The counts whose ratios are the attributes.
 
     truths, tracks : rows.  tracked : truth rows with an associated track.
     associated : track rows with an associated object.
@@ -57,7 +57,7 @@ class SiapCounts:
 def siap_associations(
     scene: ScoredScene, *, gate: float = 2.0, confirm: int = 1, end: int = 1
 ) -> tuple[SiapAssociation, ...]:
-    """Which track follows which object when.
+    """The object that each track follows in each frame.
 
     gate : only objects strictly nearer than this in (x, y), m, are followed.
     confirm : consecutive reports with the same nearest object that begin an association.
@@ -133,7 +133,7 @@ def siap_counts(scene: ScoredScene, associations: Sequence[SiapAssociation]) -> 
 
 
 def _nearest_truth(scene: ScoredScene, gate: float) -> IntArray:
-    """For each track row the place of the nearest object's id, or -1; the lower id of equals."""
+    """The place of the nearest object's id for each track row, or -1; the lower id of equals."""
     pairs = scene.near(gate)
     order = np.lexsort((pairs.truth, pairs.distance, pairs.track))
     first = order[np.unique(pairs.track[order], return_index=True)[1]]

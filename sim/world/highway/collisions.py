@@ -1,4 +1,5 @@
-"""Which pairs on a road could collide in a step: the broad phase before the stock routine."""
+"""The broad phase before the stock collision routine: pairs on a road that could collide in a
+step."""
 
 from __future__ import annotations
 

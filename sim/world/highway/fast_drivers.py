@@ -69,7 +69,8 @@ def rows_of(mask: BoolArray) -> IntArray:
 
 
 class Fleet:
-    """What does not change while the same things are on a road: their parameters, one a row.
+    """The parameters of the things on a road, one a row, which do not change while these are the
+    same.
 
     Rows are the road's vehicles, then its objects.
     known : whether the step of every vehicle and object is the stock one.
@@ -136,7 +137,7 @@ class Fleet:
 
 
 class Places:
-    """Where everything on a road is, for one setting of positions: vehicles, then objects."""
+    """The places of everything on a road for one setting of positions: vehicles, then objects."""
 
     def __init__(self, road: FastRoad, moved: FloatArray | None = None) -> None:
         """`moved` (N,2) : of the vehicles, where they are known."""
@@ -217,7 +218,7 @@ def _nearest(places: list[float], rows: list[int], own: int, order: range) -> in
 
 
 class Act:
-    """One `act` of a road: lane decisions one by one, then all controls together.
+    """The `act` of a road at one time: lane decisions one by one, then all controls together.
 
     Rows are the road's vehicles, then its objects; `lane` and `target` hold a vehicle's current and
     target lane as a column of the table.

@@ -99,7 +99,7 @@ class FastRoad(Road):  # type: ignore[misc]
             fleet.things[i].handle_collisions(fleet.things[j], dt)
 
     def places(self) -> Places:
-        """Where everything is, worked out again where somebody else has moved something."""
+        """The places of everything, worked out again where somebody else has moved something."""
         known: Places | None = self.__dict__.get("_places")
         if known is None or not known.hold(self):
             known = self._places = Places(self)

@@ -20,7 +20,7 @@ _KNOWN = (StraightLane, SineLane, CircularLane)
 
 
 def wrap(angle: FloatArray) -> FloatArray:
-    """As highway-env wraps angles, to the bit."""
+    """Wrap angles as highway-env does, to the bit."""
     return np.asarray(((angle + np.pi) % (2 * np.pi)) - np.pi)
 
 
@@ -125,7 +125,7 @@ class LaneTable:
         return heading
 
     def _swing(self, row: Any, along: FloatArray) -> FloatArray:
-        """By how much sine lanes turn from the line that they swing about."""
+        """The angle between sine lanes and the line that they swing about, rad."""
         slope = np.cos(self._pulsation[row] * along + self._phase[row])
         return np.arctan(self._amplitude[row] * self._pulsation[row] * slope)
 
