@@ -136,21 +136,44 @@ inline PyType_Slot owned_slots[] = {
     {0, nullptr},
 };
 
-// The values as an array of this shape, without a copy.
-template <typename T>
-nb::object array_of(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {
-    static const nb::handle ndarray = of_numpy("ndarray");
-    static char nothing[sizeof(double)];
-    auto kept = std::make_shared<std::vector<T>>(std::move(values));
-    void* data = kept->empty() ? static_cast<void*>(nothing) : kept->data();
-    const auto bytes = static_cast<Py_ssize_t>(kept->size() * sizeof(T));
-    nb::object owned = nb::cast(Owned{std::move(kept), data, bytes});
-    auto lengths = nb::steal(nb::handle(PyTuple_New(static_cast<Py_ssize_t>(shape.size()))));
+// Bytes up to which numbers are copied into an array: numpy makes one of its own in an eighth of the
+// time that it takes to make one of memory that another keeps.
+constexpr std::size_t kCopied = std::size_t{1} << 14;
+
+inline nb::object shape_of(std::initializer_list<std::size_t> lengths) {
+    auto shape = nb::steal(nb::handle(PyTuple_New(static_cast<Py_ssize_t>(lengths.size()))));
     Py_ssize_t axis = 0;
-    for (const auto length : shape) {
-        PyTuple_SET_ITEM(lengths.ptr(), axis++, PyLong_FromSize_t(length));
+    for (const auto length : lengths) {
+        PyTuple_SET_ITEM(shape.ptr(), axis++, PyLong_FromSize_t(length));
     }
-    PyObject* made = PyObject_CallFunctionObjArgs(ndarray.ptr(), lengths.ptr(), dtype<T>().ptr(),
+    return shape;
+}
+
+template <typename T>
+nb::object copied(const std::vector<T>& values, const nb::object& shape) {
+    static const nb::handle empty = of_numpy("empty");
+    PyObject* const arguments[] = {shape.ptr(), dtype<T>().ptr()};
+    PyObject* made = PyObject_Vectorcall(empty.ptr(), arguments, 2, nullptr);
+    if (!made) throw nb::python_error();
+    auto array = nb::steal(nb::handle(made));
+    Py_buffer view;
+    if (PyObject_GetBuffer(made, &view, PyBUF_SIMPLE) != 0) throw nb::python_error();
+    if (!values.empty()) std::memcpy(view.buf, values.data(), values.size() * sizeof(T));
+    PyBuffer_Release(&view);
+    return array;
+}
+
+// The values as an array of this shape; where they are many, without a copy.
+template <typename T>
+nb::object array_of(std::vector<T>&& values, std::initializer_list<std::size_t> lengths) {
+    static const nb::handle ndarray = of_numpy("ndarray");
+    const auto bytes = values.size() * sizeof(T);
+    const auto shape = shape_of(lengths);
+    if (bytes <= kCopied) return copied(values, shape);
+    auto kept = std::make_shared<std::vector<T>>(std::move(values));
+    void* data = kept->data();
+    nb::object owned = nb::cast(Owned{std::move(kept), data, static_cast<Py_ssize_t>(bytes)});
+    PyObject* made = PyObject_CallFunctionObjArgs(ndarray.ptr(), shape.ptr(), dtype<T>().ptr(),
                                                   owned.ptr(), nullptr);
     if (!made) throw nb::python_error();
     return nb::steal(nb::handle(made));
