@@ -15,17 +15,17 @@ from pmbm.types import FloatArray, IntArray
 FITTED: Final = ("argoverse", "waymo", "probabilistic_kf")
 """Trackers that have these parameters."""
 _MIN_SCORE: Final = (0.35, 0.6)
-_MIN_HITS: Final = (2, 4)
-_MAX_AGE: Final = (4.0, 12.0)
 _REPORT: Final = (0.0, 0.4, 0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85)
 """Scores by the share of all detections below them, whatever the detector's scale."""
+_HITS_AND_AGE: Final = ((2, 12.0), (5, 4.0))
+"""Tracks that are soon believed and long kept, or neither: either goes with the other."""
 
 
 def candidates(scores: FloatArray) -> list[dict[str, Any]]:
     """Parameters to track with, for detections of one class with these scores (N,)."""
     return [
         {"min_score": _short(score), "min_hits": hits, "max_age": age}
-        for score, hits, age in product(np.quantile(scores, _MIN_SCORE), _MIN_HITS, _MAX_AGE)
+        for score, (hits, age) in product(np.quantile(scores, _MIN_SCORE), _HITS_AND_AGE)
     ]
 
 
