@@ -155,7 +155,8 @@ class Outcome:
         found = estimate(values, known.scale)
         ends = "" if found.low is None else f", 95 % interval [{found.low:.4g}, {found.high:.4g}]"
         mean = "undefined" if found.mean is None else f"{found.mean:.4g}{ends}"
-        told = f"{metric} in {counted(len(values), 'trial')} ({known.unit}): {shown}"
+        unit = "" if known.unit == "1" else f" ({known.unit})"
+        told = f"{metric} in {counted(len(values), 'trial')}{unit}: {shown}"
         return [*wrap(told, 100, subsequent_indent="    "), f"mean {mean}"]
 
     def _defined(self, metric: str) -> list[float]:
@@ -382,5 +383,5 @@ def _write_page(
 
 def _slug(text: str) -> str:
     """A file name for a text; the hash keeps apart what looks alike."""
-    plain = re.sub(r"[^A-Za-z0-9_.-]+", "-", text).strip("-.")[-80:]
+    plain = re.sub(r"[^A-Za-z0-9_.-]+", "-", text)[-80:].strip("-.")
     return f"{plain}-{hashlib.sha256(text.encode()).hexdigest()[:6]}"
