@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,13 +45,16 @@ class BaselineFits:
         folds: int,
     ) -> BaselineFits:
         """Track every sequence with each candidate; what a tracker knows of noise is then from the
-        folds that the sequence is not in."""
-        rule = matching_rule(dataset)
+        folds that the sequence is not in.
+
+        So the choice for a fold is made on runs whose variances that fold has a share in, as
+        one of several: what little it tells of the fold is in the baseline's favour.
+        """
         recordings = {name: dataset.recording(name) for name in names}
         if tracker == _HAS_NOISE:
             recordings = {name: with_origins(one) for name, one in recordings.items()}
         scores = {
-            kind: _scores(list(recordings.values()), label)
+            kind: _scores(recordings.values(), label)
             for kind, label in zip(dataset.classes, map(Label, dataset.labels), strict=True)
         }
         fits = BaselineFits(
@@ -63,22 +66,27 @@ class BaselineFits:
             thresholds={kind: report_thresholds(own) for kind, own in scores.items()},
             errors={},
         )
-        errors: dict[tuple[str, str], list[IntArray]] = {}
+        errors: dict[tuple[str, str], IntArray] = {}
         for held in folds_of(names, folds) if folds > 1 else [list(names)]:
-            others = [name for name in names if name not in held] or names
-            known = fits.noise(others)
+            known = fits.noise([name for name in names if name not in held] or names)
             for name in held:
-                for tables in zip(*fits.candidates.values(), strict=True):
-                    own = {
-                        kind: {**given[kind], **known[kind], **table}
-                        for kind, table in zip(dataset.classes, tables, strict=True)
-                    }
-                    trackers = trackers_of(dataset, tracker, own)
-                    run = compared_run(dataset, name, recordings[name], trackers)
-                    for kind, one in run.items():
-                        swept = sweep(rule, one, fits.thresholds[kind])
-                        errors.setdefault((kind, name), []).append(swept.errors)
-        return replace(fits, errors={key: np.array(found) for key, found in errors.items()})
+                errors |= fits.counted(name, known)
+        return replace(fits, errors=errors)
+
+    def counted(self, name: str, noise: Tables) -> dict[tuple[str, str], IntArray]:
+        """Errors on one sequence, see `errors`, with this knowledge of noise."""
+        rule = matching_rule(self.dataset)
+        found: dict[str, list[IntArray]] = {kind: [] for kind in self.candidates}
+        for tables in zip(*self.candidates.values(), strict=True):
+            own = {
+                kind: {**self.given[kind], **noise[kind], **table}
+                for kind, table in zip(self.candidates, tables, strict=True)
+            }
+            trackers = trackers_of(self.dataset, self.tracker, own)
+            run = compared_run(self.dataset, name, self.recordings[name], trackers)
+            for kind, one in run.items():
+                found[kind].append(sweep(rule, one, self.thresholds[kind]).errors)
+        return {(kind, name): np.array(errors) for kind, errors in found.items()}
 
     def noise(self, names: Sequence[str]) -> Tables:
         """Of each class, the variances that these sequences show, if the tracker has such."""
@@ -104,7 +112,7 @@ class BaselineFits:
         return tables
 
 
-def _scores(recordings: Sequence[Recording], label: Label) -> FloatArray:
+def _scores(recordings: Iterable[Recording], label: Label) -> FloatArray:
     """(N,) of all detections of a label; a zero where there are none."""
     found = [one.score[one.label == label] for each in recordings for one in each.detections]
     scores = np.concatenate([np.zeros(0), *found])
