@@ -48,6 +48,7 @@ Entries = dict[str, "Mapping[str, Trackers]"]
     help="Fit the trackers to these detections, as pmbm fit-tracker does: the sequences are in "
     "so many parts, and each is tracked by fits to the others.",
 )
+@dataset_options.beside
 @click.option(
     "--ego-motion", is_flag=True, help="Also each tracker without the poses: what they are worth."
 )
@@ -72,6 +73,7 @@ def command(
     trackers: tuple[str, ...],
     published: bool,
     fit_in: int | None,
+    beside: tuple[str, ...],
     ego_motion: bool,
     metrics: tuple[str, ...],
     rule: str | None,
@@ -95,8 +97,9 @@ def command(
     from pmbm.durable import replace_text
     from pmbm.errors import InputError, nearest_hint
 
-    dataset = open_dataset(
-        dataset_name, root=root, detections=detections, classes=classes or None, poses=poses
+    dataset, *others = (
+        open_dataset(dataset_name, root=root, detections=one, classes=classes or None, poses=poses)
+        for one in (detections, *beside)
     )
     by = rule_of(dataset, rule)
     metrics = metrics or (next(iter(by.shown)),)
@@ -106,13 +109,17 @@ def command(
             raise InputError(f"the rule has no '{metric}'", field="--metric", hint=hint)
     if fit_in and published:
         raise InputError("what is fitted is not as published", field="--fit")
+    if beside and not fit_in:
+        raise InputError("what is fitted is held to other detectors", field="--beside")
     if ego_motion and poses is None:
         raise InputError("without poses there is nothing to leave out", field="--poses")
     names = chosen_sequences(dataset, sequences)
     chosen = list(dict.fromkeys(trackers)) or list(_DEFAULT)
 
     def runs_on(seen: Dataset) -> Runs:
-        return _run(seen, names, _entries(seen, names, chosen, published, fit_in), rule, jobs)
+        return _run(
+            seen, names, _entries(seen, names, chosen, published, fit_in, others), rule, jobs
+        )
 
     runs = runs_on(dataset)
     if ego_motion:
@@ -174,9 +181,10 @@ def _entries(
     trackers: Sequence[str],
     published: bool,
     fit_in: int | None,
+    others: Sequence[Dataset],
 ) -> Entries:
     """Every tracker for every sequence and class; with `fit_in`, bounds apart, fitted to the
-    others of so many folds."""
+    others of so many folds, and held to the detections of `others`."""
     from pmbm.cli.fit_tracker import fits_of
     from pmbm.cli.left_out import fitted_to_others
     from pmbm.tracking import SHIPPED_BOUNDS
@@ -184,7 +192,7 @@ def _entries(
     entries: Entries = {}
     for tracker in trackers:
         if fit_in and tracker not in SHIPPED_BOUNDS:
-            fits = fits_of(dataset, names, tracker, None, fit_in)
+            fits = fits_of(dataset, names, tracker, None, fit_in, others)
             entries[tracker] = dict(fitted_to_others(fits, fit_in))
         else:
             entries[tracker] = dict.fromkeys(names, _configured(dataset, tracker, published))

@@ -11,8 +11,8 @@ import click
 from pmbm.cli.options import FILE, FOLDER, Decorator, jobs
 
 __all__ = [
-    "FILE", "FOLDER", "classes", "dataset", "detected", "detections", "jobs", "poses", "root",
-    "rule", "sequences",
+    "FILE", "FOLDER", "beside", "classes", "dataset", "detected", "detections", "jobs", "poses",
+    "root", "rule", "sequences",
 ]  # fmt: skip
 
 ROOT: Final = click.Path(path_type=Path)
@@ -27,6 +27,13 @@ classes: Final = click.option(
 )
 sequences: Final = click.option(
     "--sequences", multiple=True, metavar="NAME...", help="[default: all there are]"
+)
+beside: Final = click.option(
+    "--beside",
+    multiple=True,
+    metavar="PATH",
+    help="Detections of another detector on the same sequences: a fit is held to what all such "
+    "say, instead of to what is known before.  Can be repeated.",
 )
 rule: Final = click.option("--rule", help="One of the dataset's own.  [default: its first]")
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pmbm.cli.left_out import Fits, LeftOut, Tables
     from pmbm.datasets import Dataset
     from pmbm.filter.models.score_record import ScoreRecord
-    from pmbm.fitting.score_record import Rows, Scale
+    from pmbm.fitting.score_record import Scale, Told
     from pmbm.types import Label, Recording
 
 OURS = "pmbm"
@@ -48,10 +48,12 @@ OURS = "pmbm"
     help="The tracker's other parameters.  [default: what ships for the PMBM tracker on this "
     "dataset; a baseline's own]",
 )
+@dataset_options.beside
 @click.option(
     "--unlabelled",
     is_flag=True,
-    help="Read no labels: the weights stay those of --config, on the scale of these scores.",
+    help="Fit no weights: they stay those of --beside or --config, on the scale of these scores, "
+    "which is found without labels.",
 )
 @click.option(
     "--folds",
@@ -73,6 +75,7 @@ def command(
     sequences: tuple[str, ...],
     tracker_name: str,
     config: Path | None,
+    beside: tuple[str, ...],
     unlabelled: bool,
     folds: int,
     mode: str,
@@ -97,23 +100,26 @@ def command(
     from pmbm.sim.toml_tables import toml_text
     from pmbm.types import Label
 
-    dataset = open_dataset(
-        dataset_name, root=root, detections=detections, poses=poses, classes=classes or None
+    dataset, *others = (
+        open_dataset(dataset_name, root=root, detections=one, poses=poses, classes=classes or None)
+        for one in (detections, *beside)
     )
     if tracker_name != OURS:
-        for option, asked in (("--unlabelled", unlabelled), ("--mode batch", mode == "batch")):
+        for option, asked in (
+            *(("--unlabelled", unlabelled), ("--beside", bool(beside))),
+            ("--mode batch", mode == "batch"),
+        ):
             if asked:
                 raise InputError(f"{option} is of the tracker '{OURS}'", field="--tracker")
     names = chosen_sequences(dataset, sequences)
     study: Fits
     if unlabelled:
-        study = Study.of(dataset, names, parameters(dataset, OURS, config), labelled=False)
-        tables = study.unlabelled()
+        study = Study.of(dataset, names, parameters(dataset, OURS, config), others, labelled=False)
     else:
-        study = fits_of(dataset, names, tracker_name, config, folds)
-        tables = study.fitted(names)
+        study = fits_of(dataset, names, tracker_name, config, folds, others)
     how = "scores' scale by" if unlabelled else "fitted by"
     options = "--unlabelled " if unlabelled else ""
+    options += "".join(f"--beside '{one}' " for one in beside)
     options += "" if tracker_name == OURS else f"--tracker {tracker_name} "
     note = (
         f"# The tracker {tracker_name}'s parameters for one detector, a table for each class; "
@@ -123,8 +129,8 @@ def command(
         kind: Detector.of(list(study.recordings.values()), Label(label)).table()
         for kind, label in zip(dataset.classes, dataset.labels, strict=True)
     }
-    replace_text(out, note + toml_text({**factored(tables), "detector": told}))
-    if folds and not unlabelled:
+    replace_text(out, note + toml_text({**factored(study.fitted(names)), "detector": told}))
+    if folds and (beside or not unlabelled):
         worth = left_out(study, folds, mode)
         title = f"{dataset_name}, {tracker_name} {mode}, {len(names)} sequences in {folds} folds"
         text = report(worth, title)
@@ -135,9 +141,16 @@ def command(
 
 
 def fits_of(
-    dataset: Dataset, names: Sequence[str], tracker: str, config: Path | None, folds: int
+    dataset: Dataset,
+    names: Sequence[str],
+    tracker: str,
+    config: Path | None,
+    folds: int,
+    others: Sequence[Dataset] = (),
 ) -> Fits:
     """A tracker and these sequences to fit it to, in so many folds.
+
+    others : the same data with the detections of other detectors.
 
     Raises InputError for a tracker of which nothing is fitted.
     """
@@ -153,7 +166,7 @@ def fits_of(
         )
     given = parameters(dataset, tracker, config)
     if tracker == OURS:
-        return Study.of(dataset, names, given, labelled=True)
+        return Study.of(dataset, names, given, others, labelled=True)
     return BaselineFits.of(dataset, names, tracker, given, folds)
 
 
@@ -164,7 +177,9 @@ def parameters(dataset: Dataset, tracker: str, config: Path | None) -> Tables:
     from pmbm.study.configured import nested
     from pmbm.types import Label
 
-    shipped = preset(dataset.name, tracker) if tracker == OURS else None
+    shipped = None
+    if tracker == OURS:
+        shipped = preset(dataset.name, OURS, ANY) or preset(dataset.name, OURS)
     trackers = class_trackers(dataset, tracker, config or shipped)
     return {
         kind: nested(dict(trackers[Label(label)].parameters))
@@ -172,84 +187,151 @@ def parameters(dataset: Dataset, tracker: str, config: Path | None) -> Tables:
     }
 
 
+ANY = "any"
+"""The preset that is of no detector: what is known before one's own is fitted."""
+
+
 @dataclass(frozen=True)
 class Study:
     """Sequences to fit to, with what is worked out once.
 
-    found : of each class and sequence, the rows that the tracker may report.
+    found : of each class and sequence, the rows that the tracker may report; none without labels.
+    beside : the same of other detectors.
     """
 
     dataset: Dataset
     recordings: Mapping[str, Recording]
     given: Tables
     scale: Scale
-    found: Mapping[tuple[str, str], Rows]
-
-    @staticmethod
-    def of(dataset: Dataset, names: Sequence[str], given: Tables, *, labelled: bool) -> Study:
-        from pmbm.fitting.score_record import rows, score_scale
-        from pmbm.types import Label
-
-        recordings = {name: dataset.recording(name, truth=labelled) for name in names}
-        labels = [Label(label) for label in dataset.labels]
-        scale = score_scale(list(recordings.values()), labels)
-        judge = getattr(dataset, "unjudged", None)
-        found: dict[tuple[str, str], Rows] = {}
-        for kind, label in zip(dataset.classes, labels, strict=True) if labelled else ():
-            config = _config({**given[kind], "scores": _neutral(label, scale)})
-            for name, recording in recordings.items():
-                unjudged: Sequence[BoolArray] | None = None if judge is None else judge(name)
-                found[kind, name] = rows(recording, label, config, unjudged)
-        return Study(dataset, recordings, given, scale, found)
+    found: Mapping[tuple[str, str], Told]
+    beside: Sequence[Mapping[tuple[str, str], Told]] = ()
 
     @property
     def tracker(self) -> str:
         return OURS
 
+    @staticmethod
+    def of(
+        dataset: Dataset,
+        names: Sequence[str],
+        given: Tables,
+        others: Sequence[Dataset] = (),
+        *,
+        labelled: bool,
+    ) -> Study:
+        truth = labelled or bool(others)
+        recordings = {name: dataset.recording(name, truth=truth) for name in names}
+        scale, found = _found(dataset, recordings, given, labelled=labelled)
+        return Study(
+            dataset,
+            recordings,
+            given,
+            scale,
+            found,
+            [
+                _found(
+                    other,
+                    {name: other.recording(name, truth=True) for name in names},
+                    given,
+                    labelled=True,
+                )[1]
+                for other in others
+            ],
+        )
+
     def fitted(self, names: Sequence[str]) -> Tables:
         """Each class's parameters, fitted to these sequences."""
-        from pmbm.fitting.score_record import Rows, fit_records
-        from pmbm.types import Label
+        from pmbm.fitting.score_record import Told, fit_records
 
-        kinds = dict(zip(map(Label, self.dataset.labels), self.dataset.classes, strict=True))
-        whole = {
-            label: Rows.joined([self.found[kind, name] for name in names])
-            for label, kind in kinds.items()
-        }
-        records = fit_records(whole, self.scale)
+        before = self.known_before(names)
+        if self.found:
+            whole = {
+                label: Told.joined([self.found[kind, name] for name in names])
+                for label, kind in self._kinds().items()
+            }
+            records = fit_records(whole, self.scale, before)
+        else:
+            records = before
         return {
             kind: {**self.given[kind], "scores": as_table(records[label])}
-            for label, kind in kinds.items()
+            for label, kind in self._kinds().items()
         }
 
-    def unlabelled(self) -> Tables:
-        """Each class's parameters as given, on the scale of these detections' scores."""
-        from pmbm.errors import InputError
+    def known_before(self, names: Sequence[str]) -> dict[Label, ScoreRecord]:
+        """The records that others' detections of these sequences give, or those that are given, of
+        the labels that have one.
 
-        tables: Tables = {}
-        for kind, own in self.given.items():
-            scores = own.get("scores", {})
-            if scores.get("kind") != "record":
+        Raises InputError where nothing is to be fitted, and one is missing.
+        """
+        from dataclasses import replace
+
+        from pmbm.errors import InputError
+        from pmbm.filter.models.score_record import ScoreRecord
+        from pmbm.fitting.score_record import Told, pooled_records
+
+        if self.beside:
+            parts = {
+                label: [Told.joined([one[kind, name] for name in names]) for one in self.beside]
+                for label, kind in self._kinds().items()
+            }
+            return pooled_records(parts, self.scale)
+        found = {}
+        for label, kind in self._kinds().items():
+            scores = _config(self.given[kind]).scores
+            if isinstance(scores, ScoreRecord):
+                middle, spread = self.scale
+                found[label] = replace(scores, middle=middle, spread=spread)
+            elif not self.found:
                 raise InputError(
                     "only a score record can be put on another scale",
                     field=f"{kind}.scores.kind",
                     expected="record",
-                    got=scores.get("kind"),
+                    got=self.given[kind].get("scores", {}).get("kind"),
                 )
-            tables[kind] = {**own, "scores": {**scores, **_scale_table(self.scale)}}
-        return tables
+        return found
+
+    def _kinds(self) -> dict[Label, str]:
+        from pmbm.types import Label
+
+        return dict(zip(map(Label, self.dataset.labels), self.dataset.classes, strict=True))
+
+
+def _found(
+    dataset: Dataset, recordings: Mapping[str, Recording], given: Tables, *, labelled: bool
+) -> tuple[Scale, dict[tuple[str, str], Told]]:
+    """The scale of a detector's scores and, where there are labels, the rows of each class and
+    sequence."""
+    from pmbm.fitting.score_record import neutral_config, rows, score_scale
+    from pmbm.types import Label
+
+    labels = dict(zip(dataset.classes, map(Label, dataset.labels), strict=True))
+    configs = {label: _config(given[kind]) for kind, label in labels.items()}
+    scale = score_scale(list(recordings.values()), configs)
+    judge = getattr(dataset, "unjudged", None)
+    found = {}
+    for kind, label in labels.items() if labelled else ():
+        config = neutral_config(configs[label], label, scale)
+        for name, recording in recordings.items():
+            unjudged: Sequence[BoolArray] | None = None if judge is None else judge(name)
+            found[kind, name] = rows(recording, label, config, unjudged)
+    return scale, found
 
 
 def as_table(record: ScoreRecord) -> dict[str, Any]:
     """As a file has it, to the digits that tell."""
-    from pmbm.filter.models.score_record import WEIGHTS
+    from dataclasses import asdict
 
+    weights = {"online": record.online, "batch": record.batch or record.online}
     return {
         "kind": "record",
         "label": record.label,
-        **{name: _short(getattr(record, name)) for name in WEIGHTS},
         "memory": record.memory,
-        **_scale_table((record.middle, record.spread)),
+        "middle": [_short(value) for value in record.middle.tolist()],
+        "spread": [_short(value) for value in record.spread.tolist()],
+        **{
+            name: {key: _short(value) for key, value in asdict(one).items()}
+            for name, one in weights.items()
+        },
     }
 
 
@@ -331,25 +413,6 @@ def report(worth: Mapping[str, LeftOut | None], title: str) -> str:
 
 def _cell(value: float | None, digits: int = 3) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
-
-
-def _neutral(label: Label, scale: Scale) -> dict[str, Any]:
-    """A record by which every source is an object."""
-    return {
-        "kind": "record",
-        "label": int(label),
-        "offset": 40.0,
-        "score": 0.0,
-        **_scale_table(scale),
-    }
-
-
-def _scale_table(scale: Scale) -> dict[str, Any]:
-    middle, spread = scale
-    return {
-        "middle": [_short(value) for value in middle.tolist()],
-        "spread": [_short(value) for value in spread.tolist()],
-    }
 
 
 def _config(table: dict[str, Any]) -> Any:

@@ -218,14 +218,15 @@ def tracked(
 def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker]) -> TrackSequence:
     """Every label's tracks, smoothed over the whole recording.
 
-    Tracks are followed from a tenth of the existence at which they are kept on, so that one
-    that is reported later may begin where it first appeared.  Raises InputError for a tracker that
-    is not the PMBM tracker.
+    Tracks are followed from a tenth of the probability at which they are kept on, so that one that
+    is reported later may begin where it first appeared; where the scores keep records, every source
+    is.  Raises InputError for a tracker that is not the PMBM tracker.
     """
     import dataclasses
 
     from pmbm.errors import InputError
     from pmbm.filter import PMBMTracker, smooth
+    from pmbm.filter.models.score_record import ScoreRecord
     from pmbm.tracking import joined_tracks, run, seen_by
 
     parts = []
@@ -240,6 +241,12 @@ def looked_back(recording: Recording, trackers: Mapping[Label, ConfiguredTracker
         early = config.changed(
             {"report.above": config.report.keep_above / 10, "sensor.box_gain": 1.0}
         )
+        if isinstance(early.scores, ScoreRecord):
+            early = dataclasses.replace(
+                early,
+                scores=early.scores.of_all_sources(),
+                report=dataclasses.replace(early.report, exclusive=False),
+            )
         own = tuple(seen_by(tracker, label, frame) for frame in recording.detections)
         alone = dataclasses.replace(recording, detections=own, origin=None)
         found = run(PMBMTracker(early, recording.site), alone, record=True)

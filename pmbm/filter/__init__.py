@@ -26,7 +26,7 @@ from pmbm.filter.models.detection import DetectionChain, DetectionFromScores, Fi
 from pmbm.filter.models.motion import ConstantVelocity, Survival
 from pmbm.filter.models.object_classes import ObjectClasses
 from pmbm.filter.models.score_levels import LastingScores, ScoreLevels
-from pmbm.filter.models.score_record import ScoreRecord
+from pmbm.filter.models.score_record import RecordWeights, ScoreRecord
 from pmbm.filter.models.scores import EveryScore, FirstScore, IgnoreScores
 from pmbm.filter.models.sensor import Sensor
 from pmbm.filter.smoothing import smooth
@@ -47,6 +47,7 @@ __all__ = [
     "ObjectClasses",
     "PMBMConfig",
     "PMBMTracker",
+    "RecordWeights",
     "Reduction",
     "Report",
     "ScoreLevels",

@@ -97,7 +97,7 @@ def advance(
             model.scores.predicted(local.marks.source, frame.dt),
             local.marks.confidence,
             local.marks.detectable,
-            local.record,
+            model.scores.aged(local.record, frame.dt),
         ),
         density.hypotheses.columns(),
         density.track_id,
@@ -223,7 +223,6 @@ def _interval(model: PMBMConfig, site: Site, name: str, dt: float) -> tuple[Any,
     survival = model.survival.over(dt)
     return (
         *model.motion.transition(dt),
-        model.scores.fade(dt),
         survival,
         log_of(survival),
         tuple(_law(one, dt) for one in _models(detection_in(model, site, name))),

@@ -54,7 +54,7 @@ def predict(
             local.shown,
             local.history,
             predict_marks(local.marks, transition),
-            local.record * transition.scores.fade(transition.dt),
+            transition.scores.aged(local.record, transition.dt),
         ),
         density.hypotheses,
         density.track_id,

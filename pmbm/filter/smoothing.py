@@ -39,13 +39,16 @@ def smooth(
     """The tracks of a whole run, each smoothed over its life: one `Tracks` per step, as given.
 
     A track counts as a whole: it is kept where its score, as of its last detection, with the
-    evidence of its whole life, exceeds the configuration's `keep_above`; where scores do not add up
-    so (`Scores.cumulative`), the mean of its scores counts, which is the share of its steps that is
-    expected to be true.  It then lives from its first report to its last detection, gaps of up to
-    two seconds filled.  A detection that is
-    more probably another's counts as none.  A tracker that reports
-    from a lower existence on (its own `report_above`) thus lets tracks begin before the step in
-    which they became probable.  Positions and velocities are those of the Rauch-Tung-Striebel
+    evidence of its whole life, exceeds the configuration's `keep_above`.  It then lives from its
+    first report to its last detection, gaps of up to two seconds filled; a detection that is more
+    probably another's counts as none.  A tracker that reports from a lower existence on (its own
+    `report_above`) thus lets tracks begin before the step in which they became probable.
+
+    Where the scores say of each step how probably an object was there (`Scores.share_by_life`, with
+    inspections), it lives from the first to the last step of which that exceeds `keep_above`, and
+    is kept where the mean over these, its score, does.
+
+     Positions and velocities are those of the Rauch-Tung-Striebel
     smoother (AIAA Journal 3(8), 1965); size is the mean of the detections' and label the most
     frequent one; height and heading are averaged over half a second about each step, boxes turned
     by half a turn turned back, and vehicles turned to where they drive.
@@ -68,22 +71,23 @@ def smooth(
         raise InputError("steps out of order", field="time", got=times[1:][np.diff(times) < 0][0])
     if any(one.covariance is None for one in steps):
         raise InputError("smoothing needs the tracks' covariances", field="covariance")
-    existence = _existence(steps, inspections)
+    told = _told(steps, inspections)
     lives = []
     for number, rows in sorted(_rows_of_tracks(steps).items()):
-        found = _forward(_life(steps, existence, number, rows, times), config)
+        found = _forward(_life(steps, told, number, rows, times), config)
         if found is None:
             continue
         life, forward = found
-        whole = float(life.score[-1] if config.scores.cumulative else life.score.mean())
-        if whole > config.report.keep_above:
-            life = replace(life, score=np.full(len(life.score), whole))
-            lives.append(_with_boxes(_backward(life, forward)))
-    told: list[Tracks] = []
+        kept = _kept(life, config, told is not None)
+        if kept is not None:
+            first, end, score = kept
+            smoothed = _with_boxes(_backward(life, forward)).between(first, end)
+            lives.append(replace(smoothed, score=np.full(end - first, score)))
+    reports: list[Tracks] = []
     for number, one in enumerate(steps):
         there = _present(lives, number)
-        told.append(_step(one, _standing(there) if config.report.exclusive else there))
-    return tuple(told)
+        reports.append(_step(one, _standing(there) if config.report.exclusive else there))
+    return tuple(reports)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -92,7 +96,7 @@ class _Life:
 
     first : its first step.  time (n,).  reported, detected (n,) : whether it was in a step; where
     it was not reported, a row repeats the last report.  mean (n,4), cov (n,4,4), box (n,5) : z,
-    length, width, height, yaw.  score (n,), existence (n,), label.
+    length, width, height, yaw.  score (n,), existence (n,), record (n,R), distance (n,), label.
     """
 
     id: int
@@ -105,11 +109,17 @@ class _Life:
     box: FloatArray
     score: FloatArray
     existence: FloatArray
+    record: FloatArray
+    distance: FloatArray
     label: int
 
-    def until(self, end: int) -> _Life:
-        cut = ("time", "reported", "detected", "mean", "cov", "box", "score", "existence")
-        return replace(self, **{name: getattr(self, name)[:end] for name in cut})
+    def between(self, start: int, end: int) -> _Life:
+        cut = (
+            *("time", "reported", "detected", "mean", "cov", "box"),
+            *("score", "existence", "record", "distance"),
+        )
+        values = {name: getattr(self, name)[start:end] for name in cut}
+        return replace(self, first=self.first + start, **values)
 
     def present(self) -> BoolArray:
         """(n,) where the track is shown: between two detections that are not too far apart."""
@@ -133,12 +143,15 @@ def _rows_of_tracks(steps: Sequence[Tracks]) -> dict[int, list[tuple[int, int]]]
     return rows
 
 
-def _existence(
+_Told = tuple[FloatArray, FloatArray, FloatArray]
+"""Of a step's K tracks existence (K,), record (K,R) and distance (K,)."""
+
+
+def _told(
     steps: Sequence[Tracks], inspections: Sequence[Inspection] | None
-) -> Sequence[FloatArray]:
-    """(K,) of every step's tracks."""
+) -> Sequence[_Told] | None:
     if inspections is None:
-        return [np.ones(len(one)) for one in steps]
+        return None
     if [one.time for one in inspections] != [one.time for one in steps]:
         raise InputError(
             "inspections of other steps",
@@ -150,13 +163,13 @@ def _existence(
     for tracks, inspection in zip(steps, inspections, strict=True):
         order = np.argsort(inspection.track_id)
         row = order[np.searchsorted(inspection.track_id, tracks.id, sorter=order)]
-        found.append(inspection.existence[row])
+        found.append((inspection.existence[row], inspection.record[row], inspection.distance[row]))
     return found
 
 
 def _life(
     steps: Sequence[Tracks],
-    existence: Sequence[FloatArray],
+    told: Sequence[_Told] | None,
     track: int,
     where: list[tuple[int, int]],
     times: FloatArray,
@@ -171,6 +184,10 @@ def _life(
     box = np.array([[s.position[r, 2], *s.size[r], s.yaw[r]] for s, r in picked])
     labels: IntArray = np.array([s.label[r] for s, r in picked], np.int64)
     reported = np.isin(span, numbers)
+    own = [(1.0, np.zeros(0), 0.0)] * len(where)
+    if told is not None:
+        own = [tuple(part[row] for part in told[number]) for number, row in where]
+    existence, record, distance = (np.array(part)[last] for part in zip(*own, strict=True))
     return _Life(
         track,
         int(numbers[0]),
@@ -181,7 +198,9 @@ def _life(
         cov[last],
         box[last],
         np.array([s.score[r] for s, r in picked])[last],
-        np.array([existence[number][row] for number, row in where])[last],
+        existence,
+        record,
+        distance,
         int(np.bincount(labels).argmax()),
     )
 
@@ -218,7 +237,7 @@ def _forward(life: _Life, config: PMBMConfig) -> tuple[_Life, _Forward] | None:
         return None
     whole = replace(life, mean=mean, cov=cov, detected=detected)
     return (
-        whole.until(int(np.flatnonzero(detected)[-1]) + 1),
+        whole.between(0, int(np.flatnonzero(detected)[-1]) + 1),
         _Forward(F, predicted_mean, predicted_cov),
     )
 
@@ -230,6 +249,19 @@ def _backward(life: _Life, forward: _Forward) -> _Life:
         mean[k] += G @ (mean[k + 1] - forward.mean[k + 1])
         cov[k] += G @ (cov[k + 1] - forward.cov[k + 1]) @ G.T
     return replace(life, mean=mean, cov=symmetric(cov))
+
+
+def _kept(life: _Life, config: PMBMConfig, told: bool) -> tuple[int, int, float] | None:
+    """First and end of the steps of a life that count, and its score; None where it is not kept."""
+    least, first, end, score = config.report.keep_above, 0, len(life.time), float(life.score[-1])
+    by_life = config.scores.share_by_life(life.record, life.distance, life.time) if told else None
+    if by_life is not None:
+        there = np.flatnonzero(by_life > least)
+        if not len(there):
+            return None
+        first, end = int(there[0]), int(there[-1]) + 1
+        score = float(by_life[first:end].mean())
+    return (first, end, score) if score > least and life.detected[first:end].any() else None
 
 
 def _with_boxes(life: _Life) -> _Life:

@@ -59,9 +59,7 @@ class State:
         density = Density.initial(
             Mixture.empty(),
             clustering=model.reduction.clustering,
-            local=Locals.empty(
-                model.report.history, model.scores.classes, len(model.scores.fade(0.0))
-            ),
+            local=Locals.empty(model.report.history, model.scores.classes, model.scores.sums),
         )
         return State(math.nan, density, None, SceneDensity(), IdInheritance())
 
@@ -277,6 +275,7 @@ class PMBMTracker:
             predicted,
             observe(config, self.site, trace.frame, predicted),
             self.site.occluders,
+            distance=region.distance(state.density.local.mean[marginal.best]),
             time=state.time,
             report_above=config.report.above,
             reduced=trace.removed,

@@ -552,7 +552,7 @@ struct Rules {
 
 // How objects moved and lived on over one interval, and what became of what is remembered of them.
 struct Interval {
-    Input<double> F, Q, fade;
+    Input<double> F, Q;
     double survival, log_survival;
     std::vector<pmbm::DetectionLaw> laws;
 
@@ -560,7 +560,6 @@ struct Interval {
         Values in(tuple);
         F = in.numbers();
         Q = in.numbers();
-        fade = in.numbers();
         survival = in.number();
         log_survival = in.number();
         Values each(in.any());
@@ -684,7 +683,6 @@ nb::tuple step(nb::handle rules, nb::handle interval, nb::tuple ppp, nb::handle 
     how.sensor.detection_undetected = detection_undetected;
     how.step.F = since.F.data();
     how.step.Q = since.Q.data();
-    how.step.fade = since.fade.data();
     how.step.survival = since.survival;
     how.step.log_survival = since.log_survival;
 

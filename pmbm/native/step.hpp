@@ -76,8 +76,6 @@ struct SensorRules {
 
 struct StepRules {
     const double *F, *Q;
-    // What is left of each running sum (R,).
-    const double* fade;
     double survival, log_survival, gate;
     BranchLimits branching;
     ReductionLimits reduction;
@@ -570,7 +568,7 @@ class Stepper {
     void record(std::int64_t h, std::int64_t j, double* sums) const {
         const auto R = local_.sums;
         for (std::size_t i = 0; i < R; ++i) {
-            sums[i] = (h >= 0 ? local_.record[R * h + i] * rules_.fade[i] : 0.0) +
+            sums[i] = (h >= 0 ? local_.record[R * h + i] : 0.0) +
                       (j >= 0 ? scan_.said[R * j + i] : 0.0);
         }
     }

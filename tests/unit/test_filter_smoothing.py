@@ -16,6 +16,7 @@ from pmbm.filter import (
     IgnoreScores,
     PMBMConfig,
     PMBMTracker,
+    RecordWeights,
     Reduction,
     Report,
     ScoreLevels,
@@ -151,21 +152,39 @@ def test_the_whole_life_decides():
     assert shown["car"] >= 15
 
 
-def test_scores_that_are_told_anew_at_each_detection_count_by_their_mean():
-    _, frames = drive(3, frames=20)
-    tracker = PMBMTracker(ALONE)
-    steps = [tracker.step(one) for one in frames]
-    # Clear for most of its life, doubtful at last.
-    told = [0.9] * (len(steps) - 3) + [0.3] * 3
-    steps = [replace(s, score=np.full(len(s), p)) for s, p in zip(steps, told, strict=True)]
-    record = ScoreRecord(
-        label=0, middle=np.zeros(7), spread=np.r_[1.0, np.zeros(6)], offset=0.0, score=1.0
+def test_where_each_step_is_told_by_the_whole_life_it_lasts_as_long_as_that_is_probable():
+    """Scores that are low, high for long, low again: recent ones, centred, say where the life
+    begins and ends, and the mean over it is its score."""
+    _, frames = drive(3, frames=40)
+    raw = [-2.0] * 10 + [2.0] * 20 + [-2.0] * 10
+    frames = [
+        replace(one, raw_score=np.full(len(one), score))
+        for one, score in zip(frames, raw, strict=True)
+    ]
+    weights = RecordWeights(offset=0.0, score=1.0)
+    scores = ScoreRecord(
+        label=0, middle=np.zeros(7), spread=np.r_[1.0, np.zeros(6)], online=weights, memory=0.2
     )
-    assert not any(map(len, smooth(steps, ALONE)))
-    kept = [s for s in smooth(steps, replace(ALONE, scores=record)) if len(s)]
-    shown = [p for s, p in zip(steps, told, strict=True) if len(s)]
-    assert len(kept) == len(shown)
-    assert kept[0].score == pytest.approx(np.mean(shown))
+    config = replace(ALONE, scores=scores)
+    tracker = PMBMTracker(replace(config, scores=scores.of_all_sources()))
+    steps, inspections = [], []
+    for one in frames:
+        steps.append(tracker.step(one))
+        inspections.append(tracker.inspect())
+    kept = smooth(steps, config, inspections)
+    there = [k for k, one in enumerate(kept) if len(one)]
+    assert there == list(range(there[0], there[-1] + 1))
+    assert there[0] == pytest.approx(10, abs=1)
+    assert there[-1] == pytest.approx(29, abs=1)
+    (score,) = {float(one.score[0]) for one in kept if len(one)}
+    assert 0.8 < score < 1 / (1 + np.exp(-2.0))
+    hopeless = replace(weights, offset=-3.0)
+    assert not any(
+        map(
+            len,
+            smooth(steps, replace(config, scores=replace(scores, online=hopeless)), inspections),
+        )
+    )
 
 
 def test_a_detection_that_is_rather_anothers_does_not_decide():

@@ -25,7 +25,7 @@ from pmbm.filter import (
     tracker,
 )
 from pmbm.filter.frame import form_frame
-from pmbm.filter.models.score_record import ScoreRecord
+from pmbm.filter.models.score_record import RecordWeights, ScoreRecord
 from pmbm.labels import Label
 from pmbm.score import ScoreModel
 from pmbm.sim import load_scenario
@@ -51,7 +51,10 @@ CONFIGS = {
     ),
     "record": PMBMConfig(
         scores=ScoreRecord(
-            label=Label.CAR, middle=np.zeros(7), spread=np.ones(7), offset=-1.0, score=2.0
+            label=Label.CAR,
+            middle=np.zeros(7),
+            spread=np.ones(7),
+            online=RecordWeights(offset=-1.0, score=2.0, detected=1.0),
         )
     ),
     "one table": PMBMConfig.textbook().changed(

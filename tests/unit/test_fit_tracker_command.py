@@ -179,7 +179,7 @@ def test_a_run_without_poses_or_reports_says_so(folder, capsys):
     config = folder / "deaf.toml"
     deaf = tomllib.loads((folder / "mine.toml").read_text())
     del deaf["detector"]
-    deaf["Car"]["scores"]["offset"] = -30.0
+    deaf["Car"]["scores"]["online"]["offset"] = -30.0
     config.write_text(toml_text(deaf))
     code = pmbm(
         *("track", "kitti", "--root", folder, "--detections", folder / "dets_{class}"),

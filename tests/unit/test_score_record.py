@@ -12,8 +12,23 @@ from mark_builders import frame, street
 from pmbm.cli.detector import Detector, read_detectors
 from pmbm.errors import InputError
 from pmbm.filter import PMBMConfig, PMBMTracker, Report
-from pmbm.filter.models.score_record import WEIGHTS, ScoreRecord, features
-from pmbm.fitting.score_record import Rows, fit_records, rows, score_scale
+from pmbm.filter.models.score_record import (
+    WEIGHTS,
+    RecordWeights,
+    ScoreRecord,
+    features,
+    record_by_life,
+)
+from pmbm.fitting.score_record import (
+    Rows,
+    Told,
+    fit_records,
+    neutral_config,
+    pooled_records,
+    quantile_scale,
+    rows,
+    score_scale,
+)
 from pmbm.metrics.benchmarks.operating_point import operating_point, sweep
 from pmbm.metrics.benchmarks.rules import ComparedSequence
 from pmbm.metrics.benchmarks.trackeval import SimilarityScore
@@ -24,16 +39,14 @@ MIDDLE = np.where(np.arange(7) == Label.CAR, 1.0, 0.0)
 SPREAD = np.where(np.isin(np.arange(7), [Label.CAR, Label.PEDESTRIAN]), 2.0, 0.0)
 
 
-def record(**changes):
-    return ScoreRecord(
+def weights(**changes):
+    return RecordWeights(
         **{
-            "label": Label.CAR,
-            "middle": MIDDLE,
-            "spread": SPREAD,
             "offset": -0.5,
             "score": 1.2,
             "mean_score": 0.7,
             "count": 0.4,
+            "detected": 0.9,
             "distance": 0.3,
             "distance_squared": -0.2,
             "rival": -1.5,
@@ -42,9 +55,15 @@ def record(**changes):
     )
 
 
-def tracker(**changes):
+def record(online=None, **changes):
+    given = {"label": Label.CAR, "middle": MIDDLE, "spread": SPREAD, **changes}
+    return ScoreRecord(**given, online=online or weights())
+
+
+def tracker(online=None, **changes):
+    scores = record(online, **changes)
     config = replace(
-        PMBMConfig.textbook(), scores=record(**changes), report=Report(above=0.0, exclusive=False)
+        PMBMConfig.textbook(), scores=scores, report=Report(above=0.0, exclusive=False)
     ).changed({"sensor.clutter_rate": 1e-9, "sensor.position_sd": 0.1})
     return PMBMTracker(config)
 
@@ -59,7 +78,7 @@ def test_the_record_is_that_of_the_formula():
     weight = [math.exp(-0.4), math.exp(-0.2), 1.0]
     recent = sum(w * s for w, s in zip(weight, scaled, strict=True)) / sum(weight)
     away = (20.0 - 30.0) / 15.0
-    log_odds = -0.5 + 1.2 * recent + 0.7 * sum(scaled) / 3 + 0.4 * math.log(3 / 5)
+    log_odds = -0.5 + 1.2 * recent + 0.7 * sum(scaled) / 3 + 0.4 * math.log(3 / 5) + 0.9
     log_odds += 0.3 * away - 0.2 * away**2
     row = int(np.argmax(one.density.hypothesis_probability()))
     existence = one.density.local.existence[row]
@@ -67,14 +86,31 @@ def test_the_record_is_that_of_the_formula():
     assert one.inspect().object[0] == pytest.approx(tracks.score[0])
 
 
-def test_a_miss_changes_no_mean():
+def test_a_miss_changes_no_mean_but_how_steadily_it_is_detected():
     one = tracker()
     for k in range(3):
         one.step(frame(0.1 * k, [[20.0, 0.0]], 2.0))
-    before = features(one.density.local.record, np.full(len(one.density.local), 20.0))
+    before = features(one.density.local.record, np.full(len(one.density.local), 20.0)).max(axis=0)
     one.step(frame(0.3, np.zeros((0, 2)), np.zeros(0)))
-    after = features(one.density.local.record, np.full(len(one.density.local), 20.0))
-    assert after.max(axis=0) == pytest.approx(before.max(axis=0))
+    after = features(one.density.local.record, np.full(len(one.density.local), 20.0)).max(axis=0)
+    steadily = WEIGHTS.index("detected")
+    assert (before[steadily], after[steadily]) == pytest.approx((1.0, 0.75))
+    after[steadily] = before[steadily]
+    assert after == pytest.approx(before)
+
+
+def test_a_whole_life_is_told_by_its_end_and_half_a_memory_later():
+    """Records at .1 s with a memory of .4 s: two steps later, and all else as at the end."""
+    told = np.arange(30.0).reshape(5, 6)
+    found = record_by_life(told, np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 0.4)
+    assert (found[:, :3] == told[[2, 3, 4, 4, 4], :3]).all()
+    assert (found[:, 3:] == told[4, 3:]).all()
+    one = record(batch=weights(offset=3.0, detected=0.0), memory=0.4)
+    by_life = one.share_by_life(told, np.full(5, 20.0), 0.1 * np.arange(5))
+    assert by_life == pytest.approx(one.batch.share(features(found, np.full(5, 20.0))))
+    assert record().share_by_life(told, np.full(5, 20.0), 0.1 * np.arange(5)) == pytest.approx(
+        weights().share(features(record_by_life(told, 0.1 * np.arange(5), 1.0), np.full(5, 20.0)))
+    )
 
 
 @pytest.mark.parametrize(
@@ -96,7 +132,7 @@ def test_a_rival_counts_by_its_score_at_the_same_place(label, away, expected):
 
 def test_a_long_life_at_one_score_is_no_certainty():
     """The same score a hundred times says what it said at first: only `count` speaks."""
-    one = tracker(count=0.0)
+    one = tracker(weights(count=0.0, detected=0.0))
     scores = [one.step(frame(0.1 * k, [[20.0, 0.0]], 1.2)).score[0] for k in range(100)]
     assert scores[-1] == pytest.approx(scores[9], abs=1e-3)
     assert scores[-1] < 0.5
@@ -109,45 +145,70 @@ def test_without_raw_scores_it_is_refused():
         record(label=Label.TRUCK)
 
 
+TRUE = np.array([-1.0, 2.0, 0.5, 0.3, 0.6, -0.4, 0.2, -1.0])
+
+
 def simulated(rng, weights, n=20_000):
     x = rng.normal(0, 1, (n, len(WEIGHTS)))
     x[:, 0] = 1.0
     existence = rng.uniform(0.3, 1.0, n)
     share = 1 / (1 + np.exp(-x @ weights))
-    return Rows(x, existence, rng.random(n) < existence * share)
+    online = Rows(x, existence, rng.random(n) < existence * share)
+    return Told(online, Rows(x, np.ones(n), rng.random(n) < share))
+
+
+def values(one):
+    return np.array([getattr(one, name) for name in WEIGHTS])
 
 
 def test_weights_are_found_again():
     rng = np.random.default_rng(0)
-    weights = np.array([-1.0, 2.0, 0.5, 0.3, -0.4, 0.2, -1.0])
-    found = fit_records({Label.CAR: simulated(rng, weights)}, (MIDDLE, SPREAD), few=0)
-    got = [getattr(found[Label.CAR], name) for name in WEIGHTS]
-    assert got == pytest.approx(weights, abs=0.1)
+    told = Told(simulated(rng, TRUE).online, simulated(rng, -TRUE).batch)
+    found = fit_records({Label.CAR: told}, (MIDDLE, SPREAD))[Label.CAR]
+    assert values(found.online) == pytest.approx(TRUE, abs=0.1)
+    assert values(found.batch) == pytest.approx(-TRUE, abs=0.1)
 
 
-def test_few_objects_borrow_from_the_others():
+def test_few_objects_borrow_from_labels_like_theirs():
     """Thirty rows of one label alone, and beside twenty thousand of another of the same weights."""
     rng = np.random.default_rng(1)
-    weights = np.array([-1.0, 2.0, 0.5, 0.3, -0.4, 0.2, -1.0])
-    few, many = simulated(rng, weights, 30), simulated(rng, weights)
+    few, many = simulated(rng, TRUE, 30), simulated(rng, TRUE)
     spread = np.ones(7)
     alone = fit_records({Label.CYCLIST: few}, (MIDDLE, spread))[Label.CYCLIST]
     both = fit_records({Label.CYCLIST: few, Label.PEDESTRIAN: many}, (MIDDLE, spread))
+    apart = fit_records({Label.CYCLIST: few, Label.CAR: many}, (MIDDLE, spread))
     error = [
-        np.abs(np.array([getattr(one, name) for name in WEIGHTS]) - weights).sum()
-        for one in (alone, both[Label.CYCLIST])
+        np.abs(values(one.online) - TRUE).sum()
+        for one in (alone, both[Label.CYCLIST], apart[Label.CYCLIST])
     ]
     assert error[1] < 0.5 * error[0]
+    assert error[2] == pytest.approx(error[0], rel=1e-3)
+
+
+def test_few_objects_do_not_overrule_what_other_detectors_say_and_many_do():
+    rng = np.random.default_rng(2)
+    others = [simulated(rng, TRUE), simulated(rng, TRUE, 2000)]
+    before = pooled_records({Label.CAR: others}, (MIDDLE, SPREAD))
+    assert values(before[Label.CAR].online) == pytest.approx(TRUE, abs=0.2)
+    own = TRUE + 1.0
+    few, many = simulated(rng, own, 20), simulated(rng, own, 50_000)
+    held, free = (
+        values(fit_records({Label.CAR: one}, (MIDDLE, SPREAD), before)[Label.CAR].online)
+        for one in (few, many)
+    )
+    assert np.abs(held - TRUE).sum() < 0.3 * np.abs(own - TRUE).sum()
+    assert np.abs(free - own).sum() < 0.15 * np.abs(own - TRUE).sum()
+
+
+def street_config():
+    return PMBMConfig.textbook().changed({"sensor.clutter_rate": 1.0, "sensor.position_sd": 0.1})
 
 
 def test_rows_of_a_street_tell_its_cars_from_its_poles():
     made = [street(seed) for seed in range(4)]
-    scale = score_scale(made, [Label.CAR])
-    neutral = ScoreRecord(label=Label.CAR, middle=scale[0], spread=scale[1], offset=40.0, score=0.0)
-    config = replace(PMBMConfig.textbook(), scores=neutral).changed(
-        {"sensor.clutter_rate": 1.0, "sensor.position_sd": 0.1}
-    )
-    found = Rows.joined([rows(one, Label.CAR, config) for one in made[:3]])
+    scale = score_scale(made, {Label.CAR: street_config()})
+    config = neutral_config(street_config(), Label.CAR, scale)
+    found = Told.joined([rows(one, Label.CAR, config) for one in made[:3]])
     fitted = fit_records({Label.CAR: found}, scale)[Label.CAR]
     one = PMBMTracker(replace(config, scores=fitted), made[3].site)
     for detections in made[3].detections:
@@ -159,10 +220,29 @@ def test_rows_of_a_street_tell_its_cars_from_its_poles():
     assert (apart.min(axis=1) < 1.0).all()
 
 
+def test_the_scale_is_told_by_what_lasts_without_labels():
+    """Rescaled scores give the rescaled scale, truth or none; what lasts is above what does not."""
+    made = [street(seed) for seed in range(3)]
+    middle, spread = score_scale(made, {Label.CAR: street_config()})
+    again = [
+        replace(
+            one,
+            truth=tuple(frame.take(np.zeros(0, np.intp)) for frame in one.truth),
+            origin=None,
+            detections=tuple(replace(d, raw_score=3 * d.raw_score - 5) for d in one.detections),
+        )
+        for one in made
+    ]
+    found = score_scale(again, {Label.CAR: street_config()})
+    assert found[0][Label.CAR] == pytest.approx(3 * middle[Label.CAR] - 5)
+    assert found[1][Label.CAR] == pytest.approx(3 * spread[Label.CAR])
+    assert spread[Label.CAR] > 0
+
+
 def test_nothing_true_is_nothing_to_fit_to():
     none = Rows(np.ones((3, len(WEIGHTS))), np.ones(3), np.zeros(3, bool))
     with pytest.raises(InputError, match="0 true of 3 rows"):
-        fit_records({Label.CAR: none}, (MIDDLE, SPREAD))
+        fit_records({Label.CAR: Told(none, none)}, (MIDDLE, SPREAD))
 
 
 def compared():
@@ -235,6 +315,6 @@ def test_no_detections_have_no_scale():
     made = street(0)
     empty = tuple(Detections.empty(one.time) for one in made.detections)
     bare = replace(made, detections=empty, origin=None)
-    middle, spread = score_scale([bare], [Label.CAR])
+    middle, spread = quantile_scale([bare], [Label.CAR])
     assert not middle.any()
     assert not spread.any()

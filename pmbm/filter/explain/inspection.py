@@ -55,6 +55,7 @@ class Inspection:
     track_id (T,), existence (T,) : probability that the object exists, over all hypotheses.
     object (T,) : that it exists and is no persistent clutter.
     in_view (T,) : that it is where the sensor looks.
+    record (T,R) : what its detections said (`Scores`).  distance (T,) : m, from the sensor.
     report_above : what `object` must exceed for the track to be reported.
     cluster (T,) : tracks of one cluster depend on each other.
     hypothesis_track (H,) : row of the track table.  probability (H,) : of the hypothesis; those of
@@ -72,6 +73,8 @@ class Inspection:
     existence: FloatArray
     object: FloatArray
     in_view: FloatArray
+    record: FloatArray
+    distance: FloatArray
     report_above: float
     cluster: Index
     hypothesis_track: Index
@@ -136,13 +139,17 @@ def inspect(
     sensor: ObservationModel,
     occluders: Sequence[FloatArray],
     *,
+    distance: FloatArray,
     time: float,
     report_above: float,
     reduced: ReductionStats,
     seconds: Mapping[str, float],
 ) -> Inspection:
-    """The tables of a density, track by track, and of what was predicted before it; objects (T,) :
-    the probability of each track to exist and be an object."""
+    """The tables of a density, track by track, and of what was predicted before it.
+
+    objects (T,) : the probability of each track to exist and be an object.
+    distance (T,) : m, of each from the sensor.
+    """
     local, table = density.local, density.hypotheses
     cluster = np.zeros(len(density.track_id), np.intp)
     cluster[local.track[table.member]] = np.repeat(table.cluster, np.diff(table.start))
@@ -155,6 +162,8 @@ def inspect(
         existence=marginal.existence,
         object=objects,
         in_view=sensor.share_in_view(best.mean, best.cov),
+        record=best.record,
+        distance=distance,
         report_above=report_above,
         cluster=cluster,
         hypothesis_track=local.track,

@@ -140,19 +140,18 @@ class Scores(Protocol):
     def needs_all_labels(self) -> bool:
         """Whether detections of other labels than the tracker's own are to be handed over."""
 
-    @property
-    def cumulative(self) -> bool:
-        """Whether P(object) at a track's last detection has the evidence of all before it; else it
-        is told anew at each, and the mean over its life says what share of it is true."""
-
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
         """The detections that may come from the tracker's objects, and what they say."""
 
     def predicted(self, source: FloatArray, dt: float) -> FloatArray:
         """P(class) (H,K) `dt` seconds later."""
 
-    def fade(self, dt: float) -> FloatArray:
-        """(R,) what is left of each running sum of a source's record `dt` seconds later."""
+    @property
+    def sums(self) -> int:
+        """R, the running sums of a source's record."""
+
+    def aged(self, record: FloatArray, dt: float) -> FloatArray:
+        """Records (H,R) at the next frame, `dt` seconds later, before its detections add."""
 
     def object_share(self, scene: SceneDensity) -> FloatArray:
         """P(object | class) (K,) in this scene."""
@@ -160,6 +159,13 @@ class Scores(Protocol):
     def recorded_share(self, record: FloatArray, distance: FloatArray) -> FloatArray:
         """P(object | record) (T,) of sources with these records (T,R), seen from these distances
         (T,), m; 1 where records say nothing."""
+
+    def share_by_life(
+        self, record: FloatArray, distance: FloatArray, time: FloatArray
+    ) -> FloatArray | None:
+        """P(object) (n,) at each step of a source's life, by all of it: its records (n,R),
+        distances (n,), m, and times (n,), s.  None where P(object) at the last detection has the
+        evidence of all before it."""
 
     def observed(
         self, scene: SceneDensity, marginal: Marginals, in_view: FloatArray, dt: float

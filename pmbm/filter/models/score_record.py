@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Final
 
 import numpy as np
@@ -14,18 +14,39 @@ from pmbm.score import logistic
 from pmbm.types import Detections, FloatArray, IntArray, Label
 from pmbm.validation import POSITIVE, Checker, check_fields, equal_fields
 
-WEIGHTS: Final = (
-    "offset",
-    "score",
-    "mean_score",
-    "count",
-    "distance",
-    "distance_squared",
-    "rival",
-)
-"""Fields of `ScoreRecord` that its log-odds are linear in, in the order of `features`."""
+
+@dataclass(frozen=True, kw_only=True)
+class RecordWeights:
+    """Weights of a logistic regression on a source's record, in the order of `features`.
+
+    log-odds = offset + score s + mean_score m + count ln(n / 5) + detected f + distance d
+    + distance_squared d^2 + rival q.
+    """
+
+    offset: float
+    score: float
+    mean_score: float = 0.0
+    count: float = 0.0
+    detected: float = 0.0
+    distance: float = 0.0
+    distance_squared: float = 0.0
+    rival: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, "score record")
+
+    def share(self, told: FloatArray) -> FloatArray:
+        """P(object) (T,) of sources with these features (T,8)."""
+        return logistic(told @ np.array([getattr(self, name) for name in WEIGHTS]))
+
+
+WEIGHTS: Final = tuple(one.name for one in fields(RecordWeights))
+_SUREST: Final = 40.0
+"""Log-odds of what is not in doubt."""
 _NEAREST, _MIDDLE, _FARTHEST, _UNIT = 5.0, 30.0, 70.0, 15.0
 """m: distances count between the first and the third, from the second, in the last."""
+_SLACK = 1e-6
+"""s by which two times that are the same may differ."""
 _FEW = 5.0
 """Detections from which on their number speaks for a source, not against it."""
 _APART = 0.8
@@ -41,11 +62,11 @@ class ScoreRecord(OneClass):
     The filter follows every source alike, whatever its scores; which of them are objects is said by
     a logistic regression on what their detections said.  A detector says the same of a pole in
     every frame, so scores that follow each other are no independent evidence: they count by their
-    mean, never by their sum.  log-odds =
-    offset + score s + mean_score m + count ln(n / 5) + distance d + distance_squared d^2 + rival q.
+    mean, never by their sum.  It is linear in
 
     s : mean of the source's scores, recent ones first: weights fall by e over `memory` seconds.
     m : mean of all of them.  n : how many there are.
+    f : share of the frames since the first of them that have one.
     d : distance from the sensor less 30 m, in units of 15 m, between 5 and 70 m.
     q : mean, recent ones first, of how high the scores of another label's detections are at the
         same place, within .8 m; 0 without.
@@ -53,18 +74,15 @@ class ScoreRecord(OneClass):
     label : of the sources; detections of other labels count as rivals alone.
     middle, spread (7,) : by label, the raw score that counts as 0, and what counts as 1 above it;
         of a label whose spread is 0 there are no rivals.
+    online : the weights while it goes on.  batch : those of a source whose whole life is known: m,
+        n, f are those at its end, s and q those half a `memory` later.  None: those of `online`.
     """
 
     label: int
     middle: FloatArray
     spread: FloatArray
-    offset: float
-    score: float
-    mean_score: float = 0.0
-    count: float = 0.0
-    distance: float = 0.0
-    distance_squared: float = 0.0
-    rival: float = 0.0
+    online: RecordWeights
+    batch: RecordWeights | None = None
     memory: Annotated[float, POSITIVE] = 1.0
 
     def __post_init__(self) -> None:
@@ -86,10 +104,6 @@ class ScoreRecord(OneClass):
     def needs_all_labels(self) -> bool:
         return True
 
-    @property
-    def cumulative(self) -> bool:
-        return False
-
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
         """Raises InputError where the detections have no raw scores."""
         raw = detections.raw_score
@@ -109,7 +123,7 @@ class ScoreRecord(OneClass):
             np.ones((n, 1)),
             np.ones(1),
             None,
-            np.column_stack([score[own], one, rival, score[own], one]),
+            np.column_stack([score[own], one, rival, score[own], one, np.zeros(n)]),
         )
 
     def _rivals(self, detections: Detections, own: IntArray, score: FloatArray) -> FloatArray:
@@ -122,18 +136,47 @@ class ScoreRecord(OneClass):
         height: FloatArray = np.logaddexp(0.0, _SHARP * score[others]) / _SHARP
         return np.where(near, height, 0.0).max(axis=1)
 
-    def fade(self, dt: float) -> FloatArray:
+    @property
+    def sums(self) -> int:
+        return 6
+
+    def aged(self, record: FloatArray, dt: float) -> FloatArray:
         left = np.exp(-dt / self.memory)
-        return np.array([left, left, left, 1.0, 1.0])
+        return record * [left, left, left, 1.0, 1.0, 1.0] + [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 
     def recorded_share(self, record: FloatArray, distance: FloatArray) -> FloatArray:
-        weights = np.array([getattr(self, name) for name in WEIGHTS])
-        return logistic(features(record, distance) @ weights)
+        return self.online.share(features(record, distance))
+
+    def share_by_life(
+        self, record: FloatArray, distance: FloatArray, time: FloatArray
+    ) -> FloatArray:
+        weights = self.online if self.batch is None else self.batch
+        return weights.share(features(record_by_life(record, time, self.memory), distance))
+
+    def of_all_sources(self) -> ScoreRecord:
+        """A record by which every source is an object."""
+        return replace(self, online=RecordWeights(offset=_SUREST, score=0.0), batch=None)
+
+
+def record_by_life(record: FloatArray, time: FloatArray, memory: float) -> FloatArray:
+    """Records (n,6) at the steps of a source's life, by all of it.
+
+    What is recent is told half a `memory` later, so that it is as much before as after the step;
+    all else at the life's end.  time (n,) : s, rising.
+    """
+    later = np.searchsorted(time, time + (0.5 * memory + _SLACK), side="right") - 1
+    whole = np.tile(record[-1], (len(record), 1))
+    whole[:, :3] = record[later, :3]
+    return whole
 
 
 def features(record: FloatArray, distance: FloatArray) -> FloatArray:
-    """(T,7) what the log-odds of sources with these records (T,5), at these distances (T,), are
-    linear in."""
+    """(T,8) what the log-odds of sources with these records (T,6), at these distances (T,), are
+    linear in.
+
+    record : sums of recent scores, of recent ones, of recent rivals, of all scores, of all ones;
+        and the frames after the first detection.
+    """
     d = (distance.clip(_NEAREST, _FARTHEST) - _MIDDLE) / _UNIT
     recent, count = record[:, 1], record[:, 4]
     # Long out of sight, the weights of recent scores are tiny, their mean is not.
@@ -144,6 +187,7 @@ def features(record: FloatArray, distance: FloatArray) -> FloatArray:
             record[:, 0] / share,
             record[:, 3] / np.maximum(count, 1.0),
             np.log(np.maximum(count, 1.0) / _FEW),
+            count / (record[:, 5] + 1.0),
             d,
             d**2,
             record[:, 2] / share,

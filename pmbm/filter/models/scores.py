@@ -44,14 +44,19 @@ class NoRecord:
     """Sources of which no record is kept, R = 0."""
 
     @property
-    def cumulative(self) -> bool:
-        return True
+    def sums(self) -> int:
+        return 0
 
-    def fade(self, dt: float) -> FloatArray:
-        return np.zeros(0)
+    def aged(self, record: FloatArray, dt: float) -> FloatArray:
+        return record
 
     def recorded_share(self, record: FloatArray, distance: FloatArray) -> FloatArray:
         return np.ones(len(record))
+
+    def share_by_life(
+        self, record: FloatArray, distance: FloatArray, time: FloatArray
+    ) -> FloatArray | None:
+        return None
 
 
 class OneClass(NoRecord):
