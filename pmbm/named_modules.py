@@ -29,6 +29,13 @@ def find_named(name: str) -> ModuleSpec | None:
         return importlib.util.find_spec(name)
 
 
+def missing_hint(error: Exception, name: str) -> str | None:
+    """The hint where the named module itself, and nothing that it imports, is not there."""
+    if isinstance(error, ModuleNotFoundError) and error.name in (name, _top(name)):
+        return "a module is one that is installed, or lies in the current folder"
+    return None
+
+
 class _Folder(MetaPathFinder):
     """Finds top-level modules in a folder: the one that is named, and what those found before
     import."""

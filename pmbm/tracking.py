@@ -13,7 +13,7 @@ import numpy as np
 
 from pmbm.errors import InputError, Verbatim, nearest_hint
 from pmbm.external.program import EXEC, program_hint, program_named
-from pmbm.named_modules import import_named
+from pmbm.named_modules import import_named, missing_hint
 from pmbm.seeding import seeded
 from pmbm.types import Detections, Label, Recording, Site, Tracks, TrackSequence
 
@@ -85,9 +85,8 @@ def tracker_factory(name: str) -> TrackerFactory:
         for part in attribute.split("."):
             factory = getattr(factory, part)
     except (ImportError, AttributeError) as error:
-        raise InputError(
-            f"tracker '{name}' cannot be imported: {error}", hint=program_hint(name)
-        ) from error
+        hint = program_hint(name) or missing_hint(error, module_name)
+        raise InputError(f"tracker '{name}' cannot be imported: {error}", hint=hint) from error
     if not callable(factory):
         raise InputError(f"tracker '{name}'", expected="a factory", got=type(factory).__name__)
     return Bound(factory) if name in SHIPPED_BOUNDS else factory

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 from pmbm.errors import InputError
-from pmbm.named_modules import import_named
+from pmbm.named_modules import import_named, missing_hint
 from pmbm.seeding import recording_seed
 from pmbm.types import Recording
 
@@ -89,7 +89,10 @@ class NamedSource:
             for part in attribute.split("."):
                 found = getattr(found, part)
         except (ImportError, AttributeError) as error:
-            raise InputError(f"source '{self.place}' cannot be imported: {error}") from error
+            raise InputError(
+                f"source '{self.place}' cannot be imported: {error}",
+                hint=missing_hint(error, module),
+            ) from error
         if inspect.isclass(found) or (callable(found) and not hasattr(found, "record")):
             found = found()
         if not callable(getattr(found, "record", None)):

@@ -145,3 +145,12 @@ def test_packages_are_named_as_modules_are(folder):
     (package / "inner.py").write_text("import helper_here\nMine = dict\n")
     assert tracker_factory("pack_here.inner:Mine") is dict
     assert Path(sys.modules["pack_here.inner"].__file__).parent == package
+
+
+def test_a_module_that_is_not_there_is_told_from_what_one_imports(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "needs_more.py").write_text("import no_such_package\n")
+    for name, hinted in (("no_such_module:Tracker", True), ("needs_more:Tracker", False)):
+        with pytest.raises(InputError, match="No module named") as caught:
+            tracker_factory(name)
+        assert ("in the current folder" in str(caught.value)) == hinted
