@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from pmbm.filter import estimation
 from pmbm.filter.advanced import Advanced
 from pmbm.filter.config import PMBMConfig
-from pmbm.filter.density import Density, Globals, Index, Locals, Marks, Mixture
+from pmbm.filter.density import Density, Index, MixtureColumns
 from pmbm.filter.estimation import Marginals
 from pmbm.filter.frame import Frame, detection_in, split_by_view, undetected_in
 from pmbm.filter.hypotheses import branching, clusters
@@ -58,51 +58,30 @@ def advance(
     native: ModuleType, model: PMBMConfig, site: Site, density: Density, frame: Frame
 ) -> Advanced:
     """As `advance` of `pmbm.filter.tracker`."""
-    local, scan, limits = density.local, frame.scan, model.reduction
-    partial = frame.partial and not model.birth.place_by_place
-    undetected, births, dropped = _undetected(model, density.undetected, frame, partial)
+    scan, detection = frame.scan, frame.detection
     aside = None
-    if partial:
-        undetected, aside, denser = split_by_view(undetected, frame)
-        scan = scan.with_denser_births(denser)
-    given, detection = scan.detections, frame.detection
-    (
-        ppp,
-        columns,
-        marks,
-        record,
-        table,
-        track_id,
-        settled,
-        of_tracks,
-        inside,
-        removed,
-        pairs,
-        seconds,
-    ) = native.step(
+    undetected: MixtureColumns | tuple[()]
+    births: _Births = ()
+    if frame.partial and not model.birth.place_by_place:
+        predicted, dropped = undetected_in(model, density.undetected, frame)
+        seen, aside, denser = split_by_view(predicted, frame)
+        undetected, scan = seen.columns(), scan.with_denser_births(denser)
+    else:
+        undetected, births, dropped = _undetected(model, density, frame)
+    given, held = scan.detections, density.held
+    if held is None:
+        source, record = density.local.marks.source, density.local.record
+    else:
+        source, record = held.source(), held.record()
+    held, of_tracks, inside, removed, gated, seconds = native.step(
         _made(_rules, model, site, given.sensor),
         _made(_interval, model, site, given.sensor, frame.dt),
-        undetected.columns(),
+        undetected,
         births,
-        (
-            local.track,
-            local.existence,
-            local.mean,
-            local.cov,
-            local.box,
-            local.label,
-            local.newest,
-            local.shown,
-            local.history,
-            model.scores.predicted(local.marks.source, frame.dt),
-            local.marks.confidence,
-            local.marks.detectable,
-            model.scores.aged(local.record, frame.dt),
-        ),
-        density.hypotheses.columns(),
-        density.track_id,
+        _columns(density) if held is None else held,
+        model.scores.predicted(source, frame.dt),
+        model.scores.aged(record, frame.dt),
         density.detections_seen,
-        density.undetected_settled,
         (
             given.position,
             given.size,
@@ -119,34 +98,56 @@ def advance(
         detection.looking if isinstance(detection, DetectionBySensor) else 0,
         detection.of_undetected(),
     )
-    after = Density(
-        Mixture.of_columns(ppp),
-        Locals(*(*columns, Marks(*marks), record)),
-        Globals(*table),
-        track_id,
-        density.detections_seen + len(scan),
-        settled,
-    )
+    after = Density.of_held(held, density.detections_seen + len(scan))
     if aside is not None:
-        after = with_more_undetected(after, aside, limits, model.birth)
-    counts = (*removed, dropped, len(local) * len(scan) - pairs)
+        after = with_more_undetected(after, aside, model.reduction, model.birth)
+    counts = (*removed, dropped, gated)
     seconds_of = dict(zip(_PARTS, seconds, strict=True))
     return Advanced(after, Marginals(*of_tracks), inside, ReductionStats(*counts), seconds_of)
 
 
+_Births: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, bool] | tuple[()]
+
+
 def _undetected(
-    model: PMBMConfig, ppp: Mixture, frame: Frame, partial: bool
-) -> tuple[Mixture, tuple[FloatArray, FloatArray, FloatArray, bool] | tuple[()], float]:
-    """The undetected objects, the births that the kernel adds to them when it has predicted them,
-    and what was dropped; no births where they come predicted, as for a partial view.
+    model: PMBMConfig, density: Density, frame: Frame
+) -> tuple[MixtureColumns | tuple[()], _Births, float]:
+    """The undetected objects, none where the kernel holds them; the births that it adds to them
+    when it has predicted them, none where they come predicted; and what was dropped.
 
     How the broad births join the survivors, the kernel knows; any other model says it here.
     """
-    if type(model.birth) is BroadBirth and not partial:
+    if type(model.birth) is BroadBirth:
+        before = () if density.held is not None else density.undetected.columns()
         born = frame.births
-        return ppp, (born.log_weight, born.mean, born.cov, model.birth.merge_below > 0), 0.0
-    predicted, dropped = undetected_in(model, ppp, frame)
-    return predicted, (), dropped
+        return before, (born.log_weight, born.mean, born.cov, model.birth.merge_below > 0), 0.0
+    predicted, dropped = undetected_in(model, density.undetected, frame)
+    return predicted.columns(), (), dropped
+
+
+def _columns(density: Density) -> tuple[Any, ...]:
+    """The hypotheses that no step before this holds, but for what the scores' model remembers."""
+    local = density.local
+    return (
+        (
+            local.track,
+            local.existence,
+            local.mean,
+            local.cov,
+            local.box,
+            local.label,
+            local.newest,
+            local.shown,
+            local.history,
+            local.marks.source.shape[1],
+            local.marks.confidence,
+            local.marks.detectable,
+            local.record.shape[1],
+        ),
+        density.hypotheses.columns(),
+        density.track_id,
+        density.undetected_settled,
+    )
 
 
 _MADE: dict[tuple[Any, ...], tuple[PMBMConfig, Site, tuple[Any, ...]]] = {}

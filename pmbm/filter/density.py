@@ -3,8 +3,9 @@ clusters, a multi-Bernoulli mixture of detected ones (Pang & Radha 2021, Sec. 2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -354,7 +355,7 @@ class Globals:
         )
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Density:
     """The PMBM density at one time.
 
@@ -369,6 +370,8 @@ class Density:
         (`pmbm.filter.identity.inheritance`).
     detections_seen : how many detections came before; the id of the next one.
     undetected_settled : components of the PPP when it was last merged.
+    held : None, or the tables as a compiled step left them, for the next to go on from: arrays are
+        made of those alone that somebody looks at.
     """
 
     undetected: Mixture
@@ -377,6 +380,27 @@ class Density:
     track_id: NDArray[np.int64]
     detections_seen: int = 0
     undetected_settled: int = 0
+    held: ClassVar[Any] = None
+
+    @staticmethod
+    def of_held(held: Any, detections_seen: int) -> Density:
+        density = object.__new__(Density)
+        density.__dict__.update(
+            held=held, detections_seen=detections_seen, undetected_settled=held.settled
+        )
+        return density
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """A table that nobody has looked at yet."""
+            if self.held is None or name not in _OF_HELD:
+                raise AttributeError(f"a density has no '{name}'")
+            table = self.__dict__[name] = _OF_HELD[name](self.held)
+            return table
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Density, tuple(getattr(self, one.name) for one in fields(self))
 
     @staticmethod
     def initial(
@@ -407,6 +431,15 @@ class Density:
 
     def with_undetected(self, undetected: Mixture) -> Density:
         return replace(self, undetected=undetected)
+
+
+_OF_HELD: dict[str, Callable[[Any], Any]] = {
+    "undetected": lambda held: Mixture.of_columns(held.undetected()),
+    "local": lambda held: Locals(*(*held.local(), Marks(*held.marks()), held.record())),
+    "hypotheses": lambda held: Globals(*held.hypotheses()),
+    "track_id": lambda held: held.track_id(),
+}
+"""Tables of a `Density` of what a compiled step left."""
 
 
 @twin("probability")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from pmbm import kernels
 from pmbm.filter.density import Density, Index, Locals, probability_of_members, summed
 from pmbm.filter.models.view import View
 from pmbm.kernels import twin
@@ -165,33 +166,37 @@ def reported_in(
     best: Index,
     exists: FloatArray,
     inside: FloatArray,
-    label: NDArray[np.int8],
     *,
     above: float,
     exclusive: bool,
-) -> tuple[Index, ReportedColumns]:
+) -> tuple[Index, ReportedColumns, FloatArray]:
     """The tracks that are reported, and how: those that are objects with a probability (T,) above
-    `above` and probably inside the view, as `best` (T,) has them.
+    `above` and probably inside the view, as `best` (T,) has them; and P(class) (R,K) of each.
 
-    label (H,) : of local hypotheses.
     exclusive : whether of two at one place one is held back.  What is known for longer has the
         priority, if it is there more probably than not.
     """
-    local = density.local
-    rows, columns = _reported(
-        density.track_id,
-        best,
-        exists,
-        inside,
-        local.mean,
-        local.cov,
-        local.box,
-        label,
-        above,
-        exclusive,
-        _WHOLE,
-    )
-    return rows, ReportedColumns(*columns)
+    if density.held is not None and kernels.native is not None:
+        rows, columns, source = density.held.reported(
+            best, exists, inside, above, exclusive, _WHOLE
+        )
+    else:
+        local = density.local
+        rows, columns, source = _reported(
+            density.track_id,
+            best,
+            exists,
+            inside,
+            local.mean,
+            local.cov,
+            local.box,
+            local.label,
+            local.marks.source,
+            above,
+            exclusive,
+            _WHOLE,
+        )
+    return rows, ReportedColumns(*columns), source
 
 
 @twin("reported")
@@ -204,10 +209,11 @@ def _reported(
     cov: FloatArray,
     box: FloatArray,
     label: NDArray[np.int8],
+    source: FloatArray,
     above: float,
     exclusive: bool,
     whole: float,
-) -> tuple[Index, tuple[Any, ...]]:
+) -> tuple[Index, tuple[Any, ...], FloatArray]:
     rows = np.flatnonzero((exists > above) & (inside > 0.5))
     if exclusive and len(rows) > 1:
         doubtful, at = exists[rows] <= 0.5, best[rows]
@@ -216,7 +222,7 @@ def _reported(
         rows = rows[_suppress_overlaps(mean[at, :2], box[at], order, sure, whole)]
     at = best[rows]
     state, outline = mean[at], box[at]
-    return rows, (
+    columns = (
         np.column_stack([state[:, :2], outline[:, 0]]),
         outline[:, 1:4].copy(),
         outline[:, 4].copy(),
@@ -225,6 +231,7 @@ def _reported(
         label[at],
         cov[at],
     )
+    return rows, columns, source[at]
 
 
 def suppress_overlaps(position: FloatArray, box: FloatArray, order: Index, sure: int) -> Index:

@@ -165,12 +165,11 @@ def report(
     before = state.before if frame.time == state.time else (state.scene, frame.dt)
     scene = model.scores.observed(before[0], marginal, inside, before[1])
     exists = objects(model, scene, marginal, density, frame.region)
-    reported, columns = reported_in(
+    reported, columns, source = reported_in(
         density,
         marginal.best,
         exists,
         inside,
-        model.scores.labels(density.local),
         above=model.report.above,
         exclusive=model.report.exclusive,
     )
@@ -179,7 +178,13 @@ def report(
         Tracks,
         time=frame.time,
         id=density.track_id[reported],
-        **columns._asdict(),
+        position=columns.position,
+        size=columns.size,
+        yaw=columns.yaw,
+        velocity=columns.velocity,
+        score=columns.score,
+        label=model.scores.labels(columns.label, source),
+        covariance=columns.covariance,
         undetected=density.undetected.public(),
     )
     return State(frame.time, density, frame.births_memory, scene, ids, before), tracks
@@ -189,10 +194,10 @@ def objects(
     model: PMBMConfig, scene: SceneDensity, marginal: Marginals, density: Density, region: View
 ) -> FloatArray:
     """(T,) the probability of each track to exist and be an object."""
-    local, best = density.local, marginal.best
     exists = marginal.objects(model.scores.object_share(scene))
-    if not local.record.shape[1]:
+    if not model.scores.sums:
         return exists
+    local, best = density.local, marginal.best
     return exists * model.scores.recorded_share(
         local.record[best], region.distance(local.mean[best])
     )

@@ -121,14 +121,16 @@ class Buffer {
 
 // Numbers that outlive the call that made them.
 struct Owned {
-    std::shared_ptr<void> keep;
+    std::shared_ptr<const void> keep;
     void* data;
     Py_ssize_t bytes;
+    bool read_only = false;
 };
 
 inline int show_owned(PyObject* self, Py_buffer* view, int flags) {
     auto* owned = nb::inst_ptr<Owned>(self);
-    return PyBuffer_FillInfo(view, self, owned->data, owned->bytes, 0, flags);
+    return PyBuffer_FillInfo(view, self, owned->data, owned->bytes,
+                             owned->read_only, flags);
 }
 
 inline PyType_Slot owned_slots[] = {
@@ -149,8 +151,9 @@ inline nb::object shape_of(std::initializer_list<std::size_t> lengths) {
     return shape;
 }
 
-template <typename T>
-nb::object copied(const std::vector<T>& values, const nb::object& shape) {
+template <typename Column>
+nb::object copied(const Column& values, const nb::object& shape) {
+    using T = typename Column::value_type;
     static const nb::handle empty = of_numpy("empty");
     PyObject* const arguments[] = {shape.ptr(), dtype<T>().ptr()};
     PyObject* made = PyObject_Vectorcall(empty.ptr(), arguments, 2, nullptr);
@@ -173,6 +176,23 @@ nb::object array_of(std::vector<T>&& values, std::initializer_list<std::size_t> 
     auto kept = std::make_shared<std::vector<T>>(std::move(values));
     void* data = kept->data();
     nb::object owned = nb::cast(Owned{std::move(kept), data, static_cast<Py_ssize_t>(bytes)});
+    PyObject* made = PyObject_CallFunctionObjArgs(ndarray.ptr(), shape.ptr(), dtype<T>().ptr(),
+                                                  owned.ptr(), nullptr);
+    if (!made) throw nb::python_error();
+    return nb::steal(nb::handle(made));
+}
+
+// The values of a column that something keeps, as an array of this shape; read only, unless copied.
+template <typename Column, typename Keep>
+nb::object array_over(const Column& values, const std::shared_ptr<Keep>& keep,
+                      std::initializer_list<std::size_t> lengths) {
+    using T = typename Column::value_type;
+    static const nb::handle ndarray = of_numpy("ndarray");
+    const auto bytes = values.size() * sizeof(T);
+    const auto shape = shape_of(lengths);
+    if (bytes <= kCopied) return copied(values, shape);
+    nb::object owned = nb::cast(Owned{keep, const_cast<T*>(values.data()),
+                                      static_cast<Py_ssize_t>(bytes), true});
     PyObject* made = PyObject_CallFunctionObjArgs(ndarray.ptr(), shape.ptr(), dtype<T>().ptr(),
                                                   owned.ptr(), nullptr);
     if (!made) throw nb::python_error();

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <memory>
 #include <utility>
 #include <vector>
 
@@ -13,6 +14,7 @@
 #include "arrays.hpp"
 #include "branch.hpp"
 #include "gate.hpp"
+#include "held.hpp"
 #include "merge.hpp"
 #include "rays.hpp"
 #include "reduce.hpp"
@@ -158,38 +160,60 @@ Output<std::int64_t> suppress_overlaps(Table<double> position, Table<double> box
         pmbm::suppress_overlaps(position.data(), box.data(), order.data(), order.size(), sure, larger));
 }
 
-// Returns the rows of the tracks, and the columns of `ReportedColumns`.
-nb::tuple reported(Input<std::int64_t> track_id, Input<std::int64_t> best, Input<double> exists,
-                   Input<double> inside, Table<double> mean, Table<double> cov, Table<double> box,
-                   Input<std::int8_t> label, double above, bool exclusive, double whole) {
-    auto rows = pmbm::reported(
-        {track_id.data(), best.data(), exists.data(), inside.data(), exists.size()}, mean.data(),
-        box.data(), above, exclusive, whole);
+// The rows of the tracks, and the columns of `ReportedColumns`.
+nb::tuple reported_columns(const pmbm::Candidates& track, const double* mean, const double* cov,
+                           const double* box, const std::int8_t* label, const double* source,
+                           std::size_t classes, double above, bool exclusive, double whole) {
+    auto rows = pmbm::reported(track, mean, box, above, exclusive, whole);
     const auto n = rows.size();
-    std::vector<double> position, size, yaw, velocity, score, covariance;
+    std::vector<double> position, size, yaw, velocity, score, covariance, sources;
     std::vector<std::int8_t> labels;
     for (auto* column : {&position, &size}) column->reserve(3 * n);
     for (auto* column : {&yaw, &score}) column->reserve(n);
     velocity.reserve(2 * n);
     covariance.reserve(16 * n);
+    sources.reserve(classes * n);
     for (const auto row : rows) {
-        const auto at = best.data()[row];
-        const double *state = mean.data() + 4 * at, *outline = box.data() + 5 * at,
-                     *spread = cov.data() + 16 * at;
+        const auto at = track.best[row];
+        const auto own = static_cast<std::ptrdiff_t>(classes) * at;
+        const double *state = mean + 4 * at, *outline = box + 5 * at, *spread = cov + 16 * at;
         position.insert(position.end(), {state[0], state[1], outline[0]});
         size.insert(size.end(), outline + 1, outline + 4);
         yaw.push_back(outline[4]);
         velocity.insert(velocity.end(), state + 2, state + 4);
-        score.push_back(exists.data()[row]);
-        labels.push_back(label.data()[at]);
+        score.push_back(track.exists[row]);
+        labels.push_back(label[at]);
         covariance.insert(covariance.end(), spread, spread + 16);
+        sources.insert(sources.end(), source + own, source + own + static_cast<std::ptrdiff_t>(classes));
     }
     return nb::make_tuple(
         hand_over(std::move(rows)),
         nb::make_tuple(rows_of<3>(std::move(position)), rows_of<3>(std::move(size)),
                        hand_over(std::move(yaw)), rows_of<2>(std::move(velocity)),
                        hand_over(std::move(score)), hand_over(std::move(labels)),
-                       matrices_of<4>(std::move(covariance))));
+                       matrices_of<4>(std::move(covariance))),
+        array_of(std::move(sources), {n, classes}));
+}
+
+nb::tuple reported(Input<std::int64_t> track_id, Input<std::int64_t> best, Input<double> exists,
+                   Input<double> inside, Table<double> mean, Table<double> cov, Table<double> box,
+                   Input<std::int8_t> label, Table<double> source, double above, bool exclusive,
+                   double whole) {
+    return reported_columns(
+        {track_id.data(), best.data(), exists.data(), inside.data(), exists.size()}, mean.data(),
+        cov.data(), box.data(), label.data(), source.data(), source.shape(1), above, exclusive,
+        whole);
+}
+
+// The same of the tables of a step.
+nb::tuple reported_of(const pmbm::Held& held, Input<std::int64_t> best, Input<double> exists,
+                      Input<double> inside, double above, bool exclusive, double whole) {
+    const auto& step = held.step();
+    const auto view = held.locals(step.source.data(), step.record.data());
+    return reported_columns(
+        {step.track_id.data(), best.data(), exists.data(), inside.data(), exists.size()},
+        view.mean, view.cov, view.box, view.label, view.source, view.classes, above, exclusive,
+        whole);
 }
 
 Output<double> read_off(Input<double> x, Input<double> knot, Input<double> value, double base,
@@ -596,7 +620,8 @@ struct BirthsColumns {
 
 struct LocalsColumns {
     Input<std::int64_t> track, newest;
-    Input<double> existence, mean, cov, box, source, confidence, detectable, record;
+    Input<double> existence, mean, cov, box, confidence, detectable;
+    std::size_t classes, sums;
     Input<std::int8_t> label;
     Input<bool> shown;
     Input<std::int32_t> history;
@@ -612,18 +637,20 @@ struct LocalsColumns {
         newest = in.wholes();
         shown = in.next<Input<bool>>();
         history = in.next<Input<std::int32_t>>();
-        source = in.numbers();
+        classes = static_cast<std::size_t>(in.whole());
         confidence = in.numbers();
         detectable = in.numbers();
-        record = in.numbers();
+        sums = static_cast<std::size_t>(in.whole());
     }
 
-    pmbm::LocalsView view() const {
-        return {track.data(),      existence.data(),  mean.data(),       cov.data(),
-                box.data(),        label.data(),      newest.data(),     shown.data(),
-                history.data(),    source.data(),     confidence.data(), detectable.data(),
-                record.data(),     existence.size(),  history.shape(1),  source.shape(1),
-                record.shape(1)};
+    // P(class) (H,K) and running sums (H,R), predicted, come from elsewhere.
+    pmbm::LocalsView view(const double* source, const double* record) const {
+        return {track.data(),      existence.data(),  mean.data(),
+                cov.data(),        box.data(),        label.data(),
+                newest.data(),     shown.data(),      history.data(),
+                source,            confidence.data(), detectable.data(),
+                record,            existence.size(),  history.shape(1),
+                classes,           sums};
     }
 };
 
@@ -657,23 +684,48 @@ struct ScanColumns {
     }
 };
 
-// One step of the filter; pmbm/filter/compiled.py says what goes in and what comes out.
-nb::tuple step(nb::handle rules, nb::handle interval, nb::tuple ppp, nb::handle births,
-               nb::handle local, nb::tuple table, Input<std::int64_t> track_id,
-               std::int64_t detections_seen, std::int64_t settled, nb::handle scan,
-               Input<double> pose, Input<double> region, std::size_t looking,
+// The hypotheses that a step goes on from, in the order of _columns() of compiled.py.
+struct DensityColumns {
+    LocalsColumns local;
+    Input<std::int64_t> cluster, start, member, track_id;
+    Input<double> log_weight;
+    std::int64_t settled;
+
+    explicit DensityColumns(Values in) : local(in.any()) {
+        Values table(in.any());
+        cluster = table.wholes();
+        log_weight = table.numbers();
+        start = table.wholes();
+        member = table.wholes();
+        track_id = in.wholes();
+        settled = in.whole();
+    }
+};
+
+// One step of the filter; pmbm/filter/compiled.py says what goes in and what comes out.  It goes on
+// from what a step before it left, or from columns; `ppp` is empty where that is what was left too.
+nb::tuple step(nb::handle rules, nb::handle interval, nb::handle ppp, nb::handle births,
+               nb::handle before, Input<double> source, Input<double> record,
+               std::int64_t detections_seen, nb::handle scan, Input<double> pose, Input<double> region, std::size_t looking,
                double detection_undetected) {
     Rules how(rules);
     const Interval since(interval);
-    const MixtureColumns mixture(ppp);
     const BirthsColumns born(births);
     const auto births_view = born.view();
-    const LocalsColumns known(local);
     const ScanColumns seen(scan);
-    const auto cluster = nb::cast<Input<std::int64_t>>(table[0]);
-    const auto log_weight = nb::cast<Input<double>>(table[1]);
-    const auto start = nb::cast<Input<std::int64_t>>(table[2]);
-    const auto member = nb::cast<Input<std::int64_t>>(table[3]);
+    const pmbm::Held* held = nullptr;
+    std::unique_ptr<const DensityColumns> given;
+    std::unique_ptr<const MixtureColumns> mixture;
+    if (!nb::try_cast<const pmbm::Held*>(before, held)) {
+        given = std::make_unique<const DensityColumns>(Values(before));
+    }
+    if (Values(ppp).left()) {
+        mixture = std::make_unique<const MixtureColumns>(nb::borrow<nb::tuple>(ppp));
+    }
+    const auto local = held ? held->locals(source.data(), record.data())
+                            : given->local.view(source.data(), record.data());
+    const auto table = held ? held->table()
+                            : view(given->cluster, given->log_weight, given->start, given->member);
 
     how.sensor.view.pose = pose.data();
     how.sensor.region.pose = region.data();
@@ -686,44 +738,31 @@ nb::tuple step(nb::handle rules, nb::handle interval, nb::tuple ppp, nb::handle 
     how.step.survival = since.survival;
     how.step.log_survival = since.log_survival;
 
-    pmbm::Step out;
+    auto out = std::make_shared<pmbm::Step>();
     {
         nb::gil_scoped_release released;
-        pmbm::Stepper stepper(mixture.view(), born.given ? &births_view : nullptr, known.view(),
-                              view(cluster, log_weight, start, member), track_id.data(),
-                              track_id.size(), detections_seen, settled, seen.view(), how.sensor,
-                              how.step, how.occlusion);
-        out = stepper.run();
+        pmbm::Stepper stepper(
+            mixture ? mixture->view() : held->mixture(), born.given ? &births_view : nullptr,
+            local, table, held ? held->step().track_id.data() : given->track_id.data(),
+            held ? held->step().track_id.size() : given->track_id.size(), detections_seen,
+            held ? held->settled() : given->settled, seen.view(), how.sensor, how.step,
+            how.occlusion);
+        *out = stepper.run();
     }
-    const auto rows = out.existence.size(), tracks = out.track_id.size();
-    // Of one sensor alone, a column; of several, a table.
-    const auto of_sensors = [&](std::vector<double>&& values) {
-        return how.sensor.sensors > 1
-                   ? array_of(std::move(values), {rows, how.sensor.sensors})
-                   : hand_over(std::move(values));
-    };
-    const auto widths = known.view();
-    return nb::make_tuple(
-        hand_over(std::move(out.undetected)),
-        nb::make_tuple(hand_over(std::move(out.track)), hand_over(std::move(out.existence)),
-                       rows_of<4>(std::move(out.mean)), matrices_of<4>(std::move(out.cov)),
-                       rows_of<5>(std::move(out.box)), hand_over(std::move(out.label)),
-                       hand_over(std::move(out.newest)), hand_over(std::move(out.shown)),
-                       array_of(std::move(out.history), {rows, widths.history_length})),
-        nb::make_tuple(array_of(std::move(out.source), {rows, widths.classes}),
-                       of_sensors(std::move(out.confidence)),
-                       of_sensors(std::move(out.detectable))),
-        array_of(std::move(out.record), {rows, widths.sums}),
-        hand_over(std::move(out.hypotheses)), hand_over(std::move(out.track_id)), out.settled,
-        nb::make_tuple(hand_over(std::move(out.track_existence)),
-                       array_of(std::move(out.of_class), {tracks, widths.classes}),
-                       hand_over(std::move(out.best))),
-        hand_over(std::move(out.inside)),
-        nb::make_tuple(out.pruned + out.unlikely, out.capped, out.merged, out.recycled,
-                       out.tracks_capped, out.undetected_pruned, out.undetected_merged,
-                       out.undetected_capped),
-        out.pairs,
-        nb::make_tuple(out.seconds[0], out.seconds[1], out.seconds[2], out.seconds[3]));
+    const auto tracks = out->track_id.size();
+    const auto marginals =
+        nb::make_tuple(hand_over(std::move(out->track_existence)),
+                       array_of(std::move(out->of_class), {tracks, local.classes}),
+                       hand_over(std::move(out->best)));
+    const auto inside = hand_over(std::move(out->inside));
+    const auto removed = nb::make_tuple(
+        out->pruned + out->unlikely, out->capped, out->merged, out->recycled, out->tracks_capped,
+        out->undetected_pruned, out->undetected_merged, out->undetected_capped);
+    const auto apart = static_cast<std::int64_t>(local.count * seen.label.size()) - out->pairs;
+    const auto seconds = nb::make_tuple(out->seconds[0], out->seconds[1], out->seconds[2],
+                                        out->seconds[3]);
+    return nb::make_tuple(pmbm::Held(std::move(out), local, since.laws.size()), marginals, inside,
+                          removed, apart, seconds);
 }
 
 // What a report asks of a density: existence of tracks, that of sources of each class, the rows of
@@ -785,6 +824,16 @@ nb::tuple near_pairs(Table<double> position, Input<double> heading, Input<double
 
 NB_MODULE(_native, m) {
     nb::class_<pmbm::Owned>(m, "Owned", nb::type_slots(pmbm::owned_slots));
+    nb::class_<pmbm::Held>(m, "Held")
+        .def_prop_ro("settled", &pmbm::Held::settled)
+        .def("undetected", &pmbm::Held::undetected)
+        .def("local", &pmbm::Held::local)
+        .def("marks", &pmbm::Held::marks)
+        .def("source", &pmbm::Held::source)
+        .def("record", &pmbm::Held::record)
+        .def("hypotheses", &pmbm::Held::hypotheses)
+        .def("track_id", &pmbm::Held::track_id)
+        .def("reported", &reported_of);
     m.doc() = "What is compiled; chosen by pmbm.kernels.";
     m.def("k_best", &k_best, nb::arg("cost"), nb::arg("rows"), nb::arg("widths"), nb::arg("ks"));
     m.def("k_best_choices", &k_best_choices, nb::arg("row"), nb::arg("column"), nb::arg("cost"),

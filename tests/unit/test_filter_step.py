@@ -124,6 +124,9 @@ def check_steps(config, recording, steps):
             scene=state.scene,
         )
         fast = compiled.advance(native, config, site, state.density, frame)
+        # Whether it goes on from what the step before it left, or from the tables of that.
+        afresh = compiled.advance(native, config, site, replace(state.density), frame)
+        check_columns(tables(afresh), tables(fast))
         with pytest.MonkeyPatch.context() as patched:
             patched.setattr(kernels, "native", None)
             plain = tracker.advance(config, site, state.density, frame)

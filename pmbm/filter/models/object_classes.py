@@ -23,7 +23,6 @@ from pmbm.types import Detections, FloatArray, Label
 from pmbm.validation import Checker, equal_fields, hash_of_fields
 
 if TYPE_CHECKING:
-    from pmbm.filter.density import Locals
     from pmbm.filter.estimation import Marginals
 
 _LABELS = len(Label)
@@ -132,9 +131,9 @@ class ObjectClasses(NoRecord):
     ) -> SceneDensity:
         return scene
 
-    def labels(self, local: Locals) -> NDArray[np.int8]:
+    def labels(self, last: NDArray[np.int8], source: FloatArray) -> NDArray[np.int8]:
         """The likeliest label of each row (H,), by all of its detections."""
-        return local.marks.source[:, :_LABELS].argmax(axis=1).astype(np.int8)
+        return source[:, :_LABELS].argmax(axis=1).astype(np.int8)
 
     def evidence(self, detections: Detections) -> FloatArray:
         """(M,14) p(score, label | class) / p(score, label | clutter) of every detection."""

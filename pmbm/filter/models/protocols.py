@@ -18,9 +18,10 @@ from pmbm.errors import InputError, nearest_hint
 from pmbm.types import Detections, FloatArray, Site
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
-    from pmbm.filter.density import Locals, Marks, Mixture
+    from pmbm.filter.density import Marks, Mixture
     from pmbm.filter.estimation import Marginals
     from pmbm.filter.models.motion import Survival
     from pmbm.filter.models.scores import ScoredDetections
@@ -173,8 +174,9 @@ class Scores(Protocol):
         """The scene after `dt` seconds, at whose end tracks are in view with these (T,)
         probabilities."""
 
-    def labels(self, local: Locals) -> NDArray[Any]:
-        """(H,) int8, the likeliest label of each local hypothesis."""
+    def labels(self, last: NDArray[np.int8], source: FloatArray) -> NDArray[np.int8]:
+        """(H,) the likeliest labels of sources of these classes (H,K), whose last detections had
+        the labels `last` (H,)."""
 
 
 @dataclass(frozen=True, slots=True)

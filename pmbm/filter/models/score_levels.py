@@ -18,7 +18,6 @@ from pmbm.types import Detections, FloatArray, Label
 from pmbm.validation import Checker, equal_fields, hash_of_fields
 
 if TYPE_CHECKING:
-    from pmbm.filter.density import Locals
     from pmbm.filter.estimation import Marginals
 
 _SUREST = 4.0
@@ -134,8 +133,8 @@ class ScoreLevels(NoRecord):
             np.zeros((len(own), 0)),
         )
 
-    def labels(self, local: Locals) -> NDArray[np.int8]:
-        return local.label
+    def labels(self, last: NDArray[np.int8], source: FloatArray) -> NDArray[np.int8]:
+        return last
 
     def predicted(self, source: FloatArray, dt: float) -> FloatArray:
         """Shares of levels (H,L) after `dt` seconds, from those before.

@@ -15,7 +15,6 @@ from pmbm.types import Detections, FloatArray
 from pmbm.validation import check_fields
 
 if TYPE_CHECKING:
-    from pmbm.filter.density import Locals
     from pmbm.filter.estimation import Marginals
 
 _ONE = np.ones(1)
@@ -81,8 +80,8 @@ class OneClass(NoRecord):
     ) -> SceneDensity:
         return scene
 
-    def labels(self, local: Locals) -> NDArray[np.int8]:
-        return local.label
+    def labels(self, last: NDArray[np.int8], source: FloatArray) -> NDArray[np.int8]:
+        return last
 
 
 @dataclass(frozen=True, kw_only=True)
