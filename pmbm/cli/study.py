@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -104,18 +104,31 @@ def _finish(study: Study, file: Path, store: Path, done: Progress, export_file: 
     for index in done.damaged:
         click.echo(f"trial {index} was damaged in the store and was run again", err=True)
     results = load_results(store)
-    for row in results.failures.to_dict("records"):
-        label = study.cells[row["cell"]].label
-        again = shlex.join(["pmbm", "study", str(file), "--replay", str(row["index"])])
-        click.echo(
-            f"{row['outcome']}: trial {row['trial']} of {label}: {row['error']}; replay: {again}"
-        )
-        if row["note"] and not row["note"].startswith("Traceback"):
-            click.echo(row["note"])
+    _tell_failures(study, file, results.failures.to_dict("records"))
     click.echo(f"{store}: {done.done} trials, {done.failed} failed, digest {results.digest}")
     if export_file is not None:
         export(results, export_file)
     return 1 if done.failed else 0
+
+
+def _tell_failures(study: Study, file: Path, failures: Sequence[Mapping[Any, Any]]) -> None:
+    """Print each kind of failure once, with the command that replays its first trial."""
+    kinds: dict[tuple[str, str], list[Mapping[Any, Any]]] = {}
+    for row in failures:
+        kinds.setdefault((row["outcome"], row["error"]), []).append(row)
+    for (outcome, error), (row, *like) in list(kinds.items())[:_MOST_KINDS]:
+        label = study.cells[row["cell"]].label
+        again = shlex.join(["pmbm", "study", str(file), "--replay", str(row["index"])])
+        others = f", and in {len(like)} more" if like else ""
+        click.echo(f"{outcome}: trial {row['trial']} of {label}{others}: {error}; replay: {again}")
+        if row["note"] and not row["note"].startswith("Traceback"):
+            click.echo(row["note"])
+    if len(kinds) > _MOST_KINDS:
+        click.echo(f"and {counted(len(kinds) - _MOST_KINDS, 'other kind')} of failure")
+
+
+_MOST_KINDS = 20
+"""Kinds of failures that are printed."""
 
 
 def _estimate(study: Study, store: Path, jobs: int) -> None:

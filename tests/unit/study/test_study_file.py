@@ -341,3 +341,21 @@ def test_what_is_wrong_with_a_sweep_is_found_in_the_study_file(tmp_path, swept, 
     with pytest.raises(InputError, match=said) as caught:
         load_study(file, sources.resolve)
     assert caught.value.file == str(file)
+
+
+def test_failures_of_one_kind_are_printed_once(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short.toml").write_text(
+        'name = "short"\nstresses = "nothing, and that quickly"\nduration = 0.2\n'
+        '[scene]\nkind = "scripted"\n'
+    )
+    (tmp_path / "broken_one.py").write_text(
+        "class Broken:\n    def step(self, detections):\n        raise ValueError('no')\n"
+    )
+    written(tmp_path, 'scenarios = ["short.toml"]\ntrackers = ["broken_one:Broken"]\ntrials = 4\n')
+    with pytest.raises(SystemExit) as stop:
+        main(["study", "night.toml"])
+    assert stop.value.code == 1
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert re.search(r"trial 0 of short.toml, and in 3 more: .*no; replay: .*--replay 0$", first)
+    assert len(rest) == 1
