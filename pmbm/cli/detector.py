@@ -138,7 +138,7 @@ def _hopeless(tracker: ConfiguredTracker, here: Detector) -> bool:
     if not isinstance(scores, ScoreRecord):
         return False
     best = (here.scores[-1] - scores.middle[scores.label]) / scores.spread[scores.label]
-    record = np.tile([best, 1.0, 0.0, best * _LASTING, _LASTING, _LASTING - 1], (len(_AWAY), 1))
+    record = np.tile([best, 1.0, 0.0, _LASTING, _LASTING - 1], (len(_AWAY), 1))
     return bool((scores.recorded_share(record, _AWAY) <= made.config.report.above).all())
 
 

@@ -32,9 +32,9 @@ _OVERLAP: Final = 0.25
 """3D IoU from which a row is one of the object's."""
 _EXISTS: Final = 0.05
 """Existence of a source from which its rows are fitted to."""
-_RIDGE: Final = np.array([1e-3, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 20.0])
+_RIDGE: Final = np.array([1e-3, 2.0, 2.0, 2.0, 2.0, 2.0, 20.0])
 """How firmly weights are held to 0, in rows, where nothing is known before."""
-_HELD: Final = np.array([5.0, 50.0, 50.0, 50.0, 50.0, 50.0, 50.0, 50.0])
+_HELD: Final = np.array([5.0, 50.0, 50.0, 50.0, 50.0, 50.0, 50.0])
 """How firmly they are held to what is known before."""
 _OFFSET: Final = 300.0
 """How firmly the offsets of labels that are fitted together are held to each other, in rows."""
@@ -60,7 +60,7 @@ Scale = tuple[FloatArray, FloatArray]
 class Rows:
     """What a tracker may report of one label, N rows over all frames.
 
-    features (N,8) : as `features` has them.  existence (N,) : of the source.
+    features (N,7) : as `features` has them.  existence (N,) : of the source.
     true (N,) : whether an object that counts is there, or none.
     """
 

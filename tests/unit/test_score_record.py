@@ -44,7 +44,6 @@ def weights(**changes):
         **{
             "offset": -0.5,
             "score": 1.2,
-            "mean_score": 0.7,
             "count": 0.4,
             "detected": 0.9,
             "distance": 0.3,
@@ -69,7 +68,7 @@ def tracker(online=None, **changes):
 
 
 def test_the_record_is_that_of_the_formula():
-    """Three detections at 20 m, written out: recent mean, mean, number, distance."""
+    """Three detections at 20 m, written out: recent mean, number, share of frames, distance."""
     one = tracker(memory=0.5)
     given = [3.0, 0.0, 2.0]
     for k, raw in enumerate(given):
@@ -78,7 +77,7 @@ def test_the_record_is_that_of_the_formula():
     weight = [math.exp(-0.4), math.exp(-0.2), 1.0]
     recent = sum(w * s for w, s in zip(weight, scaled, strict=True)) / sum(weight)
     away = (20.0 - 30.0) / 15.0
-    log_odds = -0.5 + 1.2 * recent + 0.7 * sum(scaled) / 3 + 0.4 * math.log(3 / 5) + 0.9
+    log_odds = -0.5 + 1.2 * recent + 0.4 * math.log(3 / 5) + 0.9
     log_odds += 0.3 * away - 0.2 * away**2
     row = int(np.argmax(one.density.hypothesis_probability()))
     existence = one.density.local.existence[row]
@@ -101,7 +100,7 @@ def test_a_miss_changes_no_mean_but_how_steadily_it_is_detected():
 
 def test_a_whole_life_is_told_by_its_end_and_half_a_memory_later():
     """Records at .1 s with a memory of .4 s: two steps later, and all else as at the end."""
-    told = np.arange(30.0).reshape(5, 6)
+    told = np.arange(25.0).reshape(5, 5)
     found = record_by_life(told, np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 0.4)
     assert (found[:, :3] == told[[2, 3, 4, 4, 4], :3]).all()
     assert (found[:, 3:] == told[4, 3:]).all()
@@ -145,7 +144,7 @@ def test_without_raw_scores_it_is_refused():
         record(label=Label.TRUCK)
 
 
-TRUE = np.array([-1.0, 2.0, 0.5, 0.3, 0.6, -0.4, 0.2, -1.0])
+TRUE = np.array([-1.0, 2.0, 0.3, 0.6, -0.4, 0.2, -1.0])
 
 
 def simulated(rng, weights, n=20_000):

@@ -19,13 +19,12 @@ from pmbm.validation import POSITIVE, Checker, check_fields, equal_fields
 class RecordWeights:
     """Weights of a logistic regression on a source's record, in the order of `features`.
 
-    log-odds = offset + score s + mean_score m + count ln(n / 5) + detected f + distance d
-    + distance_squared d^2 + rival q.
+    log-odds = offset + score s + count ln(n / 5) + detected f + distance d + distance_squared d^2
+    + rival q.
     """
 
     offset: float
     score: float
-    mean_score: float = 0.0
     count: float = 0.0
     detected: float = 0.0
     distance: float = 0.0
@@ -36,7 +35,7 @@ class RecordWeights:
         check_fields(self, "score record")
 
     def share(self, told: FloatArray) -> FloatArray:
-        """P(object) (T,) of sources with these features (T,8)."""
+        """P(object) (T,) of sources with these features (T,7)."""
         return logistic(told @ np.array([getattr(self, name) for name in WEIGHTS]))
 
 
@@ -65,7 +64,7 @@ class ScoreRecord(OneClass):
     mean, never by their sum.  It is linear in
 
     s : mean of the source's scores, recent ones first: weights fall by e over `memory` seconds.
-    m : mean of all of them.  n : how many there are.
+    n : how many there are.
     f : share of the frames since the first of them that have one.
     d : distance from the sensor less 30 m, in units of 15 m, between 5 and 70 m.
     q : mean, recent ones first, of how high the scores of another label's detections are at the
@@ -74,8 +73,8 @@ class ScoreRecord(OneClass):
     label : of the sources; detections of other labels count as rivals alone.
     middle, spread (7,) : by label, the raw score that counts as 0, and what counts as 1 above it;
         of a label whose spread is 0 there are no rivals.
-    online : the weights while it goes on.  batch : those of a source whose whole life is known: m,
-        n, f are those at its end, s and q those half a `memory` later.  None: those of `online`.
+    online : the weights while it goes on.  batch : those of a source whose whole life is known: n
+        and f are those at its end, s and q those half a `memory` later.  None: those of `online`.
     """
 
     label: int
@@ -123,7 +122,7 @@ class ScoreRecord(OneClass):
             np.ones((n, 1)),
             np.ones(1),
             None,
-            np.column_stack([score[own], one, rival, score[own], one, np.zeros(n)]),
+            np.column_stack([score[own], one, rival, one, np.zeros(n)]),
         )
 
     def _rivals(self, detections: Detections, own: IntArray, score: FloatArray) -> FloatArray:
@@ -138,11 +137,11 @@ class ScoreRecord(OneClass):
 
     @property
     def sums(self) -> int:
-        return 6
+        return 5
 
     def aged(self, record: FloatArray, dt: float) -> FloatArray:
         left = np.exp(-dt / self.memory)
-        return record * [left, left, left, 1.0, 1.0, 1.0] + [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        return record * [left, left, left, 1.0, 1.0] + [0.0, 0.0, 0.0, 0.0, 1.0]
 
     def recorded_share(self, record: FloatArray, distance: FloatArray) -> FloatArray:
         return self.online.share(features(record, distance))
@@ -159,7 +158,7 @@ class ScoreRecord(OneClass):
 
 
 def record_by_life(record: FloatArray, time: FloatArray, memory: float) -> FloatArray:
-    """Records (n,6) at the steps of a source's life, by all of it.
+    """Records (n,5) at the steps of a source's life, by all of it.
 
     What is recent is told half a `memory` later, so that it is as much before as after the step;
     all else at the life's end.  time (n,) : s, rising.
@@ -171,23 +170,22 @@ def record_by_life(record: FloatArray, time: FloatArray, memory: float) -> Float
 
 
 def features(record: FloatArray, distance: FloatArray) -> FloatArray:
-    """(T,8) what the log-odds of sources with these records (T,6), at these distances (T,), are
+    """(T,7) what the log-odds of sources with these records (T,5), at these distances (T,), are
     linear in.
 
-    record : sums of recent scores, of recent ones, of recent rivals, of all scores, of all ones;
-        and the frames after the first detection.
+    record : sums of recent scores, of recent ones, of recent rivals, and of all ones; and the
+        frames after the first detection.
     """
     d = (distance.clip(_NEAREST, _FARTHEST) - _MIDDLE) / _UNIT
-    recent, count = record[:, 1], record[:, 4]
+    recent, count = record[:, 1], record[:, 3]
     # Long out of sight, the weights of recent scores are tiny, their mean is not.
     share = np.where(recent > 0, recent, 1.0)
     return np.column_stack(
         [
             np.ones(len(record)),
             record[:, 0] / share,
-            record[:, 3] / np.maximum(count, 1.0),
             np.log(np.maximum(count, 1.0) / _FEW),
-            count / (record[:, 5] + 1.0),
+            count / (record[:, 4] + 1.0),
             d,
             d**2,
             record[:, 2] / share,
