@@ -10,6 +10,7 @@ import pytest
 from short_road import short_road
 
 from pmbm.cli import main
+from pmbm.cli.settings import named
 
 QUICK = short_road(2.0)
 
@@ -148,3 +149,18 @@ def test_folders_of_a_users_own_hide_nothing(tmp_path):
         text=True,
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("command", ["run", "picture", "falsify"])
+def test_parameters_on_the_command_line_are_checked(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main([command, "single_straight", "--tracker", "argoverse", "--set", "min_hts=3"])
+    assert stop.value.code == 2
+    assert "did you mean 'min_hits'" in capsys.readouterr().err
+
+
+def test_parameters_are_those_of_the_first_tracker():
+    found = named(["argoverse", "argoverse"], ["min_hits=5"])
+    assert list(found) == ["argoverse (min_hits=5)", "argoverse"]
+    assert found["argoverse (min_hits=5)"].parameters == (("min_hits", 5),)
