@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import owens_t
 
 from pmbm.arrays import FloatArray
 
@@ -246,6 +245,8 @@ def normal_in_polygon(polygon: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> Fl
     origin, and of a triangle Owen's T function gives the probability in closed form (Owen 1956).
     A normal narrower than a millimetre is taken to be that wide.
     """
+    from scipy.special import owens_t
+
     corner = _whitened(np.asarray(polygon, dtype=np.float64)[:, None], mean, cov)[0]
     after = np.roll(corner, -1, axis=0)
     edge = after - corner

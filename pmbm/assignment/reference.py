@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from pmbm.assignment.enumeration import Problems, Ways, enumerate_ways
 from pmbm.kernels import twin
@@ -192,6 +191,9 @@ def _enqueue(
     forbidden: frozenset[int],
 ) -> None:
     """Solve one part, and put it into the queue unless it is empty; table : the costs as lists."""
+    # Where something is compiled this never runs, and what it needs takes long to load.
+    from scipy.optimize import linear_sum_assignment
+
     # Columns taken are forbidden to the rows that are left; leaving them out would take longer.
     rest = cost[len(prefix) :].copy()
     if prefix:

@@ -205,10 +205,13 @@ def _rules(model: PMBMConfig, site: Site, name: str) -> tuple[Any, ...]:
         limits.split_below,
         clusters.WORTH_FACTORING,
         _OCCLUSION,
-        occlusion.NODES,
+        occlusion.nodes() if sensor.occlusion else _NO_NODES,
         rays.COS,
         rays.SIN,
     )
+
+
+_NO_NODES = np.zeros((0, 2))
 
 
 def _polygons(site: Site) -> tuple[Index, FloatArray]:

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from pmbm import kernels
 from pmbm.filter.density import Density, Index, Locals, probability_of_members, summed
@@ -266,6 +265,8 @@ def _at_one_place(position: FloatArray, box: FloatArray) -> dict[int, list[int]]
     rivals: dict[int, list[int]] = {}
     if len(position) < 2:
         return rivals
+    from scipy.spatial import cKDTree
+
     reach = np.hypot(box[:, 1], box[:, 2]).max() / 2
     first, second = cKDTree(position).query_pairs(reach, output_type="ndarray").T
     between = position[second] - position[first]

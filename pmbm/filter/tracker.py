@@ -92,7 +92,11 @@ def step(
 
     Raises InputError where time runs backwards.
     """
-    frame = form_frame(
+    return _after(model, site, state, _next_frame(model, site, state, detections))
+
+
+def _next_frame(model: PMBMConfig, site: Site, state: State, detections: Detections) -> Frame:
+    return form_frame(
         model,
         site,
         detections,
@@ -100,6 +104,11 @@ def step(
         births_memory=state.births,
         scene=state.before[0] if detections.time == state.time else state.scene,
     )
+
+
+def _after(
+    model: PMBMConfig, site: Site, state: State, frame: Frame
+) -> tuple[State, Tracks, Trace]:
     if kernels.native is None or not compiled.has(frame):
         advanced = advance(model, site, state.density, frame)
     else:
@@ -258,7 +267,10 @@ class PMBMTracker:
 
         Raises InputError, the tracker unchanged, where time runs backwards.
         """
-        self.state, tracks, self.trace = step(self.config, self.site, self.state, detections)
+        frame = _next_frame(self.config, self.site, self.state, detections)
+        # The density that the last trace keeps is done with: of many objects a third one is much.
+        self.trace = None
+        self.state, tracks, self.trace = _after(self.config, self.site, self.state, frame)
         return tracks
 
     def inspect(self) -> Inspection:
@@ -266,10 +278,12 @@ class PMBMTracker:
         them, association histories; how well the sensor could see it; what the last step's
         reductions removed; how long its parts took.
 
-        Raises InputError before the first step.
+        Raises InputError before the first step, and where the last one was cut short.
         """
         if self.trace is None:
-            raise InputError("nothing to inspect before the first step")
+            raise InputError(
+                "nothing to inspect before the first step, or after one that was cut short"
+            )
         trace, state, config = self.trace, self.state, self.config
         predicted, _ = predicted_in(config, trace.before, trace.frame)
         marginal, region = marginals(state.density), trace.frame.region

@@ -9,9 +9,11 @@
 #include <cstring>
 #include <initializer_list>
 #include <memory>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
+#include "memory.hpp"
 #include "tables.hpp"
 
 namespace pmbm {
@@ -166,14 +168,21 @@ nb::object copied(const Column& values, const nb::object& shape) {
     return array;
 }
 
-// The values as an array of this shape; where they are many, without a copy.
-template <typename T>
-nb::object array_of(std::vector<T>&& values, std::initializer_list<std::size_t> lengths) {
+// The values as an array of this shape; where they are many, without a copy, but out of the heap.
+template <typename T, typename Memory>
+nb::object array_of(std::vector<T, Memory>&& values, std::initializer_list<std::size_t> lengths) {
+    if constexpr (!std::is_same_v<Memory, Pages<T>>) {
+        if (Pages<T>::has_its_own(values.size())) {
+            Column<T> moved(values.begin(), values.end());
+            values = std::vector<T, Memory>();
+            return array_of(std::move(moved), lengths);
+        }
+    }
     static const nb::handle ndarray = of_numpy("ndarray");
     const auto bytes = values.size() * sizeof(T);
     const auto shape = shape_of(lengths);
     if (bytes <= kCopied) return copied(values, shape);
-    auto kept = std::make_shared<std::vector<T>>(std::move(values));
+    auto kept = std::make_shared<std::vector<T, Memory>>(std::move(values));
     void* data = kept->data();
     nb::object owned = nb::cast(Owned{std::move(kept), data, static_cast<Py_ssize_t>(bytes)});
     PyObject* made = PyObject_CallFunctionObjArgs(ndarray.ptr(), shape.ptr(), dtype<T>().ptr(),
@@ -199,22 +208,22 @@ nb::object array_over(const Column& values, const std::shared_ptr<Keep>& keep,
     return nb::steal(nb::handle(made));
 }
 
-template <typename T>
-nb::object hand_over(std::vector<T>&& values) {
+template <typename T, typename Memory>
+nb::object hand_over(std::vector<T, Memory>&& values) {
     const auto count = values.size();
     return array_of(std::move(values), {count});
 }
 
 // The same as a table of so many columns.
-template <std::size_t columns, typename T>
-nb::object rows_of(std::vector<T>&& values) {
+template <std::size_t columns, typename T, typename Memory>
+nb::object rows_of(std::vector<T, Memory>&& values) {
     const auto rows = values.size() / columns;
     return array_of(std::move(values), {rows, columns});
 }
 
 // The same as square matrices.
-template <std::size_t size>
-nb::object matrices_of(std::vector<double>&& values) {
+template <std::size_t size, typename Memory>
+nb::object matrices_of(std::vector<double, Memory>&& values) {
     const auto count = values.size() / (size * size);
     return array_of(std::move(values), {count, size, size});
 }

@@ -66,20 +66,49 @@ struct ChildrenOf {
     }
 };
 
-// best_children(): the best children of every parent; `allowed` is for each cluster.
-inline ChildrenOf best_children(const TableView& parents, const PairsView& known,
-                                const double* log_missed, std::int64_t locals,
-                                const double* log_new, const std::int64_t* cluster_of,
-                                std::int64_t measurements, std::int64_t clusters,
-                                const std::int64_t* allowed,
-                                std::int64_t largest_search, double margin,
-                                double log_threshold) {
-    Ints first_pair(static_cast<std::size_t>(locals) + 1, 0);
-    for (std::int64_t p = 0; p < known.count; ++p) ++first_pair[known.row[p] + 1];
-    for (std::int64_t i = 0; i < locals; ++i) first_pair[i + 1] += first_pair[i];
-    Floats new_by_cluster(static_cast<std::size_t>(clusters), 0.0);
-    for (std::int64_t m = 0; m < measurements; ++m) new_by_cluster[cluster_of[m]] += log_new[m];
+// The gated pairs, and what each measurement and each cluster has of them: worked out once for all
+// parents.
+struct Scanned {
+    PairsView known;
+    const double *log_missed, *log_new;
+    std::int64_t locals, measurements;
+    // The pairs of local hypothesis i are first_pair[i] to first_pair[i + 1].
+    Ints first_pair;
+    // The measurements of cluster c are by_cluster[first_of[c]] to by_cluster[first_of[c + 1]].
+    Ints first_of, by_cluster;
+    Floats new_by_cluster;
 
+    Scanned(const PairsView& known, const double* log_missed, std::int64_t locals,
+            const double* log_new, std::int64_t measurements, const std::int64_t* cluster_of,
+            std::int64_t clusters)
+        : known(known), log_missed(log_missed), log_new(log_new), locals(locals),
+          measurements(measurements), first_pair(static_cast<std::size_t>(locals) + 1, 0),
+          first_of(static_cast<std::size_t>(clusters) + 1, 0),
+          by_cluster(static_cast<std::size_t>(measurements)),
+          new_by_cluster(static_cast<std::size_t>(clusters), 0.0) {
+        for (std::int64_t p = 0; p < known.count; ++p) ++first_pair[known.row[p] + 1];
+        for (std::int64_t i = 0; i < locals; ++i) first_pair[i + 1] += first_pair[i];
+        for (std::int64_t m = 0; m < measurements; ++m) ++first_of[cluster_of[m] + 1];
+        for (std::size_t c = 1; c < first_of.size(); ++c) first_of[c] += first_of[c - 1];
+        Ints next(first_of);
+        for (std::int64_t m = 0; m < measurements; ++m) {
+            by_cluster[next[cluster_of[m]]++] = m;
+            new_by_cluster[cluster_of[m]] += log_new[m];
+        }
+    }
+
+    std::int64_t pairs_of(std::int64_t local) const {
+        return first_pair[local + 1] - first_pair[local];
+    }
+};
+
+// best_children(): the best children of every parent; `allowed` is for each cluster.
+inline ChildrenOf best_children(const TableView& parents, const Scanned& scan,
+                                const std::int64_t* allowed, std::int64_t largest_search,
+                                double margin, double log_threshold) {
+    const auto& known = scan.known;
+    const auto& first_pair = scan.first_pair;
+    const double *log_missed = scan.log_missed, *log_new = scan.log_new;
     struct Option {
         std::int64_t measurement, entry, pair;
     };
@@ -135,7 +164,7 @@ inline ChildrenOf best_children(const TableView& parents, const PairsView& known
             found.entry.push_back(option.entry);
             found.pair[i] = option.pair;
         }
-        const double base = parents.log_weight[g] + missed + new_by_cluster[cluster];
+        const double base = parents.log_weight[g] + missed + scan.new_by_cluster[cluster];
         for (const auto one : costs) {
             found.parent.push_back(g);
             found.log_weight.push_back(base - one);
@@ -149,41 +178,28 @@ inline ChildrenOf best_children(const TableView& parents, const PairsView& known
     return found;
 }
 
-struct ChildrenView {
-    const std::int64_t *parent, *taker, *entry, *pair;
-    const double* log_weight;
-    std::size_t count, uses;
-};
-
-// _over_candidates(): children as rows over the candidates, appended to a table.
-inline void extend(Table& table, const TableView& parents, const ChildrenView& children,
-                   const PairsView& known, const std::int64_t* cluster_of,
-                   std::int64_t measurements, std::int64_t clusters, std::int64_t locals) {
-    Ints first_of(static_cast<std::size_t>(clusters) + 1, 0);
-    for (std::int64_t m = 0; m < measurements; ++m) ++first_of[cluster_of[m] + 1];
-    for (std::size_t c = 1; c < first_of.size(); ++c) first_of[c] += first_of[c - 1];
-    Ints by_cluster(static_cast<std::size_t>(measurements)), next(first_of);
-    for (std::int64_t m = 0; m < measurements; ++m) by_cluster[next[cluster_of[m]]++] = m;
-
-    std::vector<unsigned char> taken(static_cast<std::size_t>(measurements), 0);
+// _over_candidates(): children as rows over the candidates, appended to a table.  taken (M,) : all
+// 0, and so again afterwards.
+inline void extend(Table& table, const TableView& parents, const ChildrenOf& children,
+                   const Scanned& scan, std::vector<unsigned char>& taken) {
+    const auto& known = scan.known;
     std::size_t use = 0;
-    for (std::size_t child = 0; child < children.count; ++child) {
+    for (std::size_t child = 0; child < children.parent.size(); ++child) {
         const auto g = children.parent[child], begin = parents.start[g];
         const auto own = table.member.size(), first_use = use;
         table.member.insert(table.member.end(), parents.member + begin,
                             parents.member + parents.start[g + 1]);
-        for (; use < children.uses &&
+        for (; use < children.taker.size() &&
                children.taker[use] == static_cast<std::int64_t>(child);
              ++use) {
             table.member[own + static_cast<std::size_t>(children.entry[use] - begin)] =
-                locals + children.pair[use];
+                scan.locals + children.pair[use];
             taken[known.measurement[children.pair[use]]] = 1;
         }
         const auto cluster = parents.cluster[g];
-        for (auto i = first_of[cluster]; i < first_of[cluster + 1]; ++i) {
-            if (!taken[by_cluster[i]]) {
-                table.member.push_back(locals + known.count + by_cluster[i]);
-            }
+        for (auto i = scan.first_of[cluster]; i < scan.first_of[cluster + 1]; ++i) {
+            const auto m = scan.by_cluster[i];
+            if (!taken[m]) table.member.push_back(scan.locals + known.count + m);
         }
         for (auto i = first_use; i < use; ++i) taken[known.measurement[children.pair[i]]] = 0;
         table.close_row(cluster, children.log_weight[child]);
@@ -192,12 +208,12 @@ inline void extend(Table& table, const TableView& parents, const ChildrenView& c
 
 // _affordable(): the heaviest rows of each cluster whose options are together at most `largest`, one
 // at least.
-inline Table affordable(const TableView& table, const Ints& pairs_of, std::int64_t largest) {
+inline Table affordable(const TableView& table, const Scanned& scan, std::int64_t largest) {
     Table kept;
     Ints rows, options(static_cast<std::size_t>(table.rows), 0);
     for (std::int64_t g = 0; g < table.rows; ++g) {
         for (auto e = table.start[g]; e < table.start[g + 1]; ++e) {
-            options[g] += pairs_of[table.member[e]];
+            options[g] += scan.pairs_of(table.member[e]);
         }
     }
     table.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
@@ -234,47 +250,49 @@ struct BranchLimits {
 inline Table branched(const TableView& table, const PairsView& known, const double* log_missed,
                       std::int64_t locals, const double* log_new, std::int64_t measurements,
                       const BranchLimits& limits, std::int64_t& dropped) {
-    constexpr std::size_t at_once = 1 << 20;
-    Ints pairs_of(static_cast<std::size_t>(locals), 0);
-    for (std::int64_t p = 0; p < known.count; ++p) ++pairs_of[known.row[p]];
+    constexpr std::size_t at_once = 1 << 15;
     Table grown;
     dropped = 0;
-    const auto grow = [&](TableView parents, const Ints& cluster_of, std::int64_t clusters,
-                          const Ints& allowed) {
+    std::vector<unsigned char> taken(static_cast<std::size_t>(measurements), 0);
+    const auto grow = [&](TableView parents, const Scanned& scan, const std::int64_t* allowed) {
         std::int64_t options = 0;
-        for (std::int64_t e = 0; e < parents.members(); ++e) options += pairs_of[parents.member[e]];
+        for (std::int64_t e = 0; e < parents.members(); ++e) {
+            options += scan.pairs_of(parents.member[e]);
+        }
         Table cut;
         if (options > limits.largest_search) {
-            cut = affordable(parents, pairs_of, limits.largest_search);
+            cut = affordable(parents, scan, limits.largest_search);
             parents = view_of(cut);
         }
-        const auto children = best_children(
-            parents, known, log_missed, locals, log_new, cluster_of.data(), measurements, clusters,
-            allowed.data(), limits.largest_search, limits.margin, limits.log_threshold);
+        const auto children = best_children(parents, scan, allowed, limits.largest_search,
+                                            limits.margin, limits.log_threshold);
         dropped += children.dropped;
-        extend(grown, parents,
-               {children.parent.data(), children.taker.data(), children.entry.data(),
-                children.pair.data(), children.log_weight.data(), children.parent.size(),
-                children.taker.size()},
-               known, cluster_of.data(), measurements, clusters, locals);
+        extend(grown, parents, children, scan, taken);
     };
     if (!limits.clustering) {
         const auto clusters = table.clusters();
-        grow(table, Ints(static_cast<std::size_t>(measurements), 0), clusters,
-             Ints(static_cast<std::size_t>(clusters), limits.max_hypotheses));
+        const Ints of_measurement(static_cast<std::size_t>(measurements), 0),
+            allowed(static_cast<std::size_t>(clusters), limits.max_hypotheses);
+        grow(table,
+             Scanned(known, log_missed, locals, log_new, measurements, of_measurement.data(),
+                     clusters),
+             allowed.data());
         return grown;
     }
     Joining joining(table, locals, known.row, known.measurement,
                     static_cast<std::size_t>(known.count), measurements, limits.max_hypotheses,
                     limits.largest_table);
     const auto clusters = joining.clusters();
+    const Scanned scan(known, log_missed, locals, log_new, measurements,
+                       joining.of_measurement.data(), clusters);
+    Ints allowed(static_cast<std::size_t>(clusters), limits.max_hypotheses);
     Table parents;
     for (std::int64_t number = 0; number < clusters; ++number) {
         joining.append(number, parents);
         if (parents.member.size() < at_once && number + 1 < clusters) continue;
-        grow(view_of(parents), joining.of_measurement, clusters,
-             row_limits(view_of(parents), clusters, limits.max_hypotheses, limits.largest_table));
-        parents = Table();
+        limit_rows(view_of(parents), limits.max_hypotheses, limits.largest_table, allowed);
+        grow(view_of(parents), scan, allowed.data());
+        parents.clear();
     }
     return grown;
 }

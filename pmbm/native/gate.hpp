@@ -4,6 +4,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -73,14 +74,41 @@ class Grid {
     std::vector<std::int64_t> point_;
 };
 
+// Innovation.of() of gaussian.py, of one Gaussian.
+struct Innovation {
+    double x, y, l11, l21, l22;
+
+    Innovation(double x, double y, double l11, double l21, double l22)
+        : x(x), y(y), l11(l11), l21(l21), l22(l22) {}
+
+    Innovation(const double* mean, const double* P, const double* R)
+        : x(mean[0]), y(mean[1]), l11(std::sqrt(P[0] + R[0])), l21((P[4] + R[2]) / l11),
+          l22(std::sqrt(P[5] + R[3] - l21 * l21)) {}
+
+    // log of the height of the density of measurements.
+    double log_norm() const {
+        static const double log_2pi = std::log(2 * std::acos(-1.0));
+        return -log_2pi - std::log(l11) - std::log(l22);
+    }
+
+    // Of a measurement.
+    std::array<double, 2> whitened(const double* z) const {
+        const double y0 = (z[0] - x) / l11;
+        return {y0, (z[1] - y - l21 * y0) / l22};
+    }
+};
+
 // N Gaussians of measurements: centres (N,2) and lower Cholesky factors.
 struct Innovations {
     const double *expected, *l11, *l21, *l22;
     std::size_t count;
+
+    Innovation operator[](std::size_t i) const {
+        return {expected[2 * i], expected[2 * i + 1], l11[i], l21[i], l22[i]};
+    }
 };
 
-// Innovation.of() of gaussian.py, and what comes with it: the log of `prior` times the height of the
-// density of measurements.
+// The innovations of many, and the log of `prior` times the height of each.
 struct Expected {
     std::vector<double> centre, l11, l21, l22, log_height;
 
@@ -88,16 +116,14 @@ struct Expected {
     Expected(const double* mean, const double* cov, const double* R, const double* prior,
              bool prior_is_log, std::size_t count)
         : centre(2 * count), l11(count), l21(count), l22(count), log_height(count) {
-        const double log_2pi = std::log(2 * std::acos(-1.0));
         for (std::size_t i = 0; i < count; ++i) {
-            const double *m = mean + 4 * i, *P = cov + 16 * i;
-            centre[2 * i] = m[0];
-            centre[2 * i + 1] = m[1];
-            l11[i] = std::sqrt(P[0] + R[0]);
-            l21[i] = (P[4] + R[2]) / l11[i];
-            l22[i] = std::sqrt(P[5] + R[3] - l21[i] * l21[i]);
-            const double log_prior = prior_is_log ? prior[i] : std::log(prior[i]);
-            log_height[i] = log_prior + (-log_2pi - std::log(l11[i]) - std::log(l22[i]));
+            const Innovation one(mean + 4 * i, cov + 16 * i, R);
+            centre[2 * i] = one.x;
+            centre[2 * i + 1] = one.y;
+            l11[i] = one.l11;
+            l21[i] = one.l21;
+            l22[i] = one.l22;
+            log_height[i] = (prior_is_log ? prior[i] : std::log(prior[i])) + one.log_norm();
         }
     }
 
@@ -106,23 +132,53 @@ struct Expected {
     }
 };
 
+struct Hit {
+    std::int64_t measurement;
+    double y0, y1;
+};
+
+// Finds the measurements z (M,2) of squared distance below a threshold.
+class Gate {
+ public:
+    Gate(const double* z, std::size_t measurements, double threshold)
+        : z_(z), measurements_(measurements), threshold_(threshold), grid_(z, measurements) {}
+
+    // Calls visit(measurement, y0, y1), in no order, with the whitened innovation.
+    template <typename Visit>
+    void each(const Innovation& g, Visit visit) const {
+        if (!measurements_) return;
+        // The gate's ellipse touches its bounding box, so rounding gets a little room.
+        const double reach = std::sqrt(threshold_) * (1 + 1e-9);
+        grid_.in_box(g.x, g.y, reach * g.l11, reach * std::sqrt(g.l21 * g.l21 + g.l22 * g.l22),
+                     [&](std::int64_t j) {
+                         const auto [y0, y1] = g.whitened(z_ + 2 * j);
+                         if (y0 * y0 + y1 * y1 < threshold_) visit(j, y0, y1);
+                     });
+    }
+
+    // The same in their order.
+    void sorted(const Innovation& g, std::vector<Hit>& hits) const {
+        hits.clear();
+        each(g, [&](std::int64_t j, double y0, double y1) { hits.push_back({j, y0, y1}); });
+        std::sort(hits.begin(), hits.end(),
+                  [](const Hit& a, const Hit& b) { return a.measurement < b.measurement; });
+    }
+
+ private:
+    const double* z_;
+    std::size_t measurements_;
+    double threshold_;
+    Grid grid_;
+};
+
 // Calls visit(i, measurement, y0, y1) for every pair of squared distance below `threshold`, by
-// Gaussian, with the whitened innovation; a Gaussian's measurements come in no order.
+// Gaussian; a Gaussian's measurements come in no order.
 template <typename Visit>
 void each_gated(const Innovations& g, const double* z, std::size_t measurements, double threshold,
                 Visit visit) {
-    if (!measurements) return;
-    const Grid grid(z, measurements);
-    // The gate's ellipse touches its bounding box, so rounding gets a little room.
-    const double reach = std::sqrt(threshold) * (1 + 1e-9);
+    const Gate gate(z, measurements, threshold);
     for (std::size_t i = 0; i < g.count; ++i) {
-        const double x = g.expected[2 * i], y = g.expected[2 * i + 1];
-        grid.in_box(x, y, reach * g.l11[i], reach * std::sqrt(g.l21[i] * g.l21[i] + g.l22[i] * g.l22[i]),
-                    [&](std::int64_t j) {
-                        const double y0 = (z[2 * j] - x) / g.l11[i];
-                        const double y1 = (z[2 * j + 1] - y - g.l21[i] * y0) / g.l22[i];
-                        if (y0 * y0 + y1 * y1 < threshold) visit(i, j, y0, y1);
-                    });
+        gate.each(g[i], [&](std::int64_t j, double y0, double y1) { visit(i, j, y0, y1); });
     }
 }
 
@@ -130,30 +186,17 @@ void each_gated(const Innovations& g, const double* z, std::size_t measurements,
 inline void gate(const Innovations& g, const double* z, std::size_t measurements, double threshold,
                  std::vector<std::int64_t>& rows, std::vector<std::int64_t>& columns,
                  std::vector<double>& whitened) {
-    struct Hit {
-        std::int64_t measurement;
-        double y0, y1;
-    };
+    const Gate gate(z, measurements, threshold);
     std::vector<Hit> hits;
-    std::size_t gaussian = 0;
-    const auto write_down = [&] {
-        std::sort(hits.begin(), hits.end(),
-                  [](const Hit& a, const Hit& b) { return a.measurement < b.measurement; });
+    for (std::size_t i = 0; i < g.count; ++i) {
+        gate.sorted(g[i], hits);
         for (const auto& hit : hits) {
-            rows.push_back(static_cast<std::int64_t>(gaussian));
+            rows.push_back(static_cast<std::int64_t>(i));
             columns.push_back(hit.measurement);
             whitened.push_back(hit.y0);
             whitened.push_back(hit.y1);
         }
-        hits.clear();
-    };
-    each_gated(g, z, measurements, threshold,
-               [&](std::size_t i, std::int64_t j, double y0, double y1) {
-                   if (i != gaussian) write_down();
-                   gaussian = i;
-                   hits.push_back({j, y0, y1});
-               });
-    write_down();
+    }
 }
 
 // _gated() of gating.py: the pairs of those that weigh something, and their log weights.
@@ -282,15 +325,15 @@ inline std::vector<std::int64_t> resumed(std::vector<std::int64_t> origins,
 struct Correction {
     double W[8], after[16];
 
-    Correction(const double* P, double l11, double l21, double l22, const double* R) {
+    Correction(const double* P, const Innovation& g, const double* R) {
         for (int a = 0; a < 4; ++a) {
-            W[2 * a] = P[4 * a] / l11;
-            W[2 * a + 1] = (P[4 * a + 1] - l21 * W[2 * a]) / l22;
+            W[2 * a] = P[4 * a] / g.l11;
+            W[2 * a + 1] = (P[4 * a + 1] - g.l21 * W[2 * a]) / g.l22;
         }
         double V[4];
         for (int a = 0; a < 2; ++a) {
-            V[2 * a] = R[2 * a] / l11;
-            V[2 * a + 1] = (R[2 * a + 1] - l21 * V[2 * a]) / l22;
+            V[2 * a] = R[2 * a] / g.l11;
+            V[2 * a + 1] = (R[2 * a + 1] - g.l21 * V[2 * a]) / g.l22;
         }
         for (int a = 0; a < 4; ++a) {
             for (int b = 0; b < 4; ++b) {
@@ -309,29 +352,33 @@ struct Correction {
     }
 };
 
-// F m and F P F' + Q of n Gaussians.
+// F m and F P F' + Q of a Gaussian.
+inline void move(const double* m, const double* P, const double* F, const double* Q, double* mean,
+                 double* cov) {
+    double FP[16];
+    for (int a = 0; a < 4; ++a) {
+        const double* f = F + 4 * a;
+        mean[a] = f[0] * m[0] + f[1] * m[1] + f[2] * m[2] + f[3] * m[3];
+        for (int b = 0; b < 4; ++b) {
+            FP[4 * a + b] = f[0] * P[b] + f[1] * P[4 + b] + f[2] * P[8 + b] + f[3] * P[12 + b];
+        }
+    }
+    for (int a = 0; a < 4; ++a) {
+        for (int b = 0; b <= a; ++b) {
+            const double *row = FP + 4 * a, *f = F + 4 * b;
+            cov[4 * a + b] = cov[4 * b + a] = Q[4 * a + b] + row[0] * f[0] + row[1] * f[1] +
+                                              row[2] * f[2] + row[3] * f[3];
+        }
+    }
+}
+
+// The same of many.
 inline void move(const double* mean, const double* cov, std::size_t count, const double* F,
                  const double* Q, std::vector<double>& means, std::vector<double>& covs) {
     means.resize(4 * count);
     covs.resize(16 * count);
     for (std::size_t i = 0; i < count; ++i) {
-        const double *m = mean + 4 * i, *P = cov + 16 * i;
-        double FP[16];
-        for (int a = 0; a < 4; ++a) {
-            const double* f = F + 4 * a;
-            means[4 * i + a] = f[0] * m[0] + f[1] * m[1] + f[2] * m[2] + f[3] * m[3];
-            for (int b = 0; b < 4; ++b) {
-                FP[4 * a + b] = f[0] * P[b] + f[1] * P[4 + b] + f[2] * P[8 + b] + f[3] * P[12 + b];
-            }
-        }
-        double* out = covs.data() + 16 * i;
-        for (int a = 0; a < 4; ++a) {
-            for (int b = 0; b <= a; ++b) {
-                const double *row = FP + 4 * a, *f = F + 4 * b;
-                out[4 * a + b] = out[4 * b + a] = Q[4 * a + b] + row[0] * f[0] + row[1] * f[1] +
-                                                  row[2] * f[2] + row[3] * f[3];
-            }
-        }
+        move(mean + 4 * i, cov + 16 * i, F, Q, means.data() + 4 * i, covs.data() + 16 * i);
     }
 }
 
@@ -343,7 +390,7 @@ inline void correct(const double* mean, const double* cov, const Innovations& g,
     covs.reserve(16 * count);
     for (std::size_t i = 0; i < count; ++i) {
         const auto r = row[i];
-        const Correction c(cov + 16 * r, g.l11[r], g.l21[r], g.l22[r], R);
+        const Correction c(cov + 16 * r, g[static_cast<std::size_t>(r)], R);
         for (int a = 0; a < 4; ++a) {
             means.push_back(mean[4 * r + a] + c.W[2 * a] * y[2 * i] +
                             c.W[2 * a + 1] * y[2 * i + 1]);
@@ -379,7 +426,7 @@ inline void fuse(const Innovations& g, const double* log_height, const double* m
     each_gated(g, z, measurements, threshold,
                [&](std::size_t i, std::int64_t j, double y0, double y1) {
                    if (!correction || corrected != i) {
-                       correction.emplace(cov_of + 16 * i, g.l11[i], g.l21[i], g.l22[i], R);
+                       correction.emplace(cov_of + 16 * i, g[i], R);
                        corrected = i;
                    }
                    const auto& c = *correction;

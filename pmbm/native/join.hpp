@@ -19,16 +19,13 @@ inline double row_limit(double rows, double members, double cap, double largest)
 }
 
 // Of the clusters that the table holds rows of.
-inline Ints row_limits(const TableView& table, std::int64_t clusters, std::int64_t cap,
-                       double largest) {
-    Ints limits(static_cast<std::size_t>(clusters), cap);
+inline void limit_rows(const TableView& table, std::int64_t cap, double largest, Ints& limits) {
     table.each_cluster([&](std::int64_t cluster, std::int64_t first, std::int64_t last) {
         const double limit = row_limit(static_cast<double>(last - first),
                                        static_cast<double>(table.start[last] - table.start[first]),
                                        static_cast<double>(cap), largest);
         limits[cluster] = static_cast<std::int64_t>(limit);
     });
-    return limits;
 }
 
 // components(): what each cluster and each measurement is called once ties have joined clusters.

@@ -36,6 +36,25 @@ struct Mixture {
         recycled.push_back(other.recycled[i]);
     }
 
+    // Only the components that `stays` says of, by row and in their order.
+    template <typename Stays>
+    void keep(Stays stays) {
+        std::size_t kept = 0;
+        for (std::size_t i = 0; i < size(); ++i) {
+            if (!stays(i)) continue;
+            log_weight[kept] = log_weight[i];
+            std::copy_n(mean.begin() + 4 * i, 4, mean.begin() + 4 * kept);
+            std::copy_n(cov.begin() + 16 * i, 16, cov.begin() + 16 * kept);
+            track[kept] = track[i];
+            share[kept] = share[i];
+            recycled[kept++] = recycled[i];
+        }
+        for (auto* column : {&log_weight, &share, &recycled}) column->resize(kept);
+        mean.resize(4 * kept);
+        cov.resize(16 * kept);
+        track.resize(kept);
+    }
+
     bool any_recycled() const {
         return std::any_of(recycled.begin(), recycled.end(), [](auto part) { return part > 0; });
     }

@@ -386,7 +386,7 @@ nb::tuple reduced(Input<std::int64_t> cluster, Input<double> log_weight, Input<s
     pmbm::ReducedTable made;
     {
         nb::gil_scoped_release released;
-        made = pmbm::reduced(view(cluster, log_weight, start, member), existence.data(),
+        made = pmbm::reduced(owned(view(cluster, log_weight, start, member)), existence.data(),
                              track.data(), track.size(), static_cast<std::size_t>(tracks),
                              {log_prune, max_hypotheses, largest_table, recycle_below, max_tracks,
                               clustering, split_below, worth_factoring});
@@ -749,6 +749,7 @@ nb::tuple step(nb::handle rules, nb::handle interval, nb::handle ppp, nb::handle
             how.occlusion);
         *out = stepper.run();
     }
+    if (out->existence.size() > pmbm::kMany) pmbm::trim_heap();
     const auto tracks = out->track_id.size();
     const auto marginals =
         nb::make_tuple(hand_over(std::move(out->track_existence)),

@@ -64,20 +64,20 @@ inline Table without(const TableView& table, const std::vector<bool>& gone) {
     return emptied;
 }
 
-inline ReducedTable reduced(const TableView& table, const double* existence,
-                            const std::int64_t* track, std::size_t locals, std::size_t tracks,
+inline ReducedTable reduced(Table&& table, const double* existence, const std::int64_t* track,
+                            std::size_t locals, std::size_t tracks,
                             const ReductionLimits& limits) {
     ReducedTable out;
-    const auto caps = limits.clustering
-                          ? row_limits(table, table.clusters(), limits.max_hypotheses,
-                                       limits.largest_table)
-                          : Ints(static_cast<std::size_t>(table.clusters()),
-                                 limits.max_hypotheses);
+    Ints caps(static_cast<std::size_t>(view_of(table).clusters()), limits.max_hypotheses);
+    if (limits.clustering) {
+        limit_rows(view_of(table), limits.max_hypotheses, limits.largest_table, caps);
+    }
     std::int64_t above = 0;
     auto& kept = out.table;
-    kept = pruned(table, limits.log_prune, caps.data(), above);
-    out.pruned = table.rows - above;
+    kept = pruned(view_of(table), limits.log_prune, caps.data(), above);
+    out.pruned = view_of(table).rows - above;
     out.capped = above - view_of(kept).rows;
+    release(table, caps);
 
     const auto count = static_cast<std::int64_t>(locals);
     std::vector<bool> gone(locals);

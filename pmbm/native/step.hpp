@@ -17,6 +17,7 @@
 #include "branch.hpp"
 #include "detection.hpp"
 #include "gate.hpp"
+#include "memory.hpp"
 #include "merge.hpp"
 #include "mixture.hpp"
 #include "occlusion.hpp"
@@ -91,12 +92,12 @@ struct StepRules {
 struct Step {
     Mixture undetected;
     Ints track;
-    Floats existence, mean, cov, box;
-    std::vector<std::int8_t> label;
-    Ints newest;
-    std::vector<Flag> shown;
-    std::vector<std::int32_t> history;
-    Floats source, confidence, detectable, record;
+    Column<double> existence, mean, cov, box;
+    Column<std::int8_t> label;
+    Column<std::int64_t> newest;
+    Column<Flag> shown;
+    Column<std::int32_t> history;
+    Column<double> source, confidence, detectable, record;
     Table hypotheses;
     Ints track_id;
     std::int64_t settled = 0;
@@ -170,6 +171,10 @@ inline Mixture merged_mixture(const Mixture& mixture, double threshold, double a
     return out;
 }
 
+struct Gaussian {
+    double mean[4], cov[16];
+};
+
 class Stepper {
  public:
     // births: null where the undetected objects come predicted, births and all.
@@ -202,18 +207,22 @@ class Stepper {
     }
 
  private:
-    // Box 1.
+    // Box 1.  Detected objects are predicted one by one, where they are asked for: with many of them
+    // their table is large.
+    double existence(std::size_t h) const { return local_.existence[h] * rules_.survival; }
+
+    // i : of a local hypothesis and a sensor, in the order of the table.
+    double detectable(std::size_t i) const {
+        return sensor_.laws[i % sensor_.sensors].predicted(local_.detectable[i]);
+    }
+
+    Gaussian predicted(std::size_t h) const {
+        Gaussian one;
+        move(local_.mean + 4 * h, local_.cov + 16 * h, rules_.F, rules_.Q, one.mean, one.cov);
+        return one;
+    }
+
     void predict() {
-        move(local_.mean, local_.cov, local_.count, rules_.F, rules_.Q, mean_, cov_);
-        existence_.resize(local_.count);
-        for (std::size_t h = 0; h < local_.count; ++h) {
-            existence_[h] = local_.existence[h] * rules_.survival;
-        }
-        const auto S = sensor_.sensors;
-        detectable_.resize(local_.count * S);
-        for (std::size_t i = 0; i < detectable_.size(); ++i) {
-            detectable_[i] = sensor_.laws[i % S].predicted(local_.detectable[i]);
-        }
         ppp_ = owned(survivors_);
         recycled_before_ = survivors_.track != nullptr;
         if (!births_) return;
@@ -226,46 +235,48 @@ class Stepper {
     // P_D as misses and as detections count it, and the states after a miss.
     void observe() {
         const auto H = local_.count, P = ppp_.size();
-        Floats inside(std::max(H, P), 1.0);
         detection_.resize(H);
-        share_inside(mean_.data(), cov_.data(), H, sensor_.view, inside.data());
         const auto& law = sensor_.laws[sensor_.looking];
         for (std::size_t h = 0, own = sensor_.looking; h < H; ++h, own += sensor_.sensors) {
-            detection_[h] = law.probability(local_.confidence[own], detectable_[own]) * inside[h];
+            const auto one = predicted(h);
+            double inside;
+            share_inside(one.mean, one.cov, 1, sensor_.view, &inside);
+            detection_[h] = law.probability(local_.confidence[own], detectable(own)) * inside;
         }
-        if_detected_ = detection_;
-        ppp_detection_.resize(P);
-        std::fill(inside.begin(), inside.end(), 1.0);
+        Floats inside(P, 1.0);
         if (sensor_.undetected_in_detail) {
             share_inside(ppp_.mean.data(), ppp_.cov.data(), P, sensor_.view, inside.data());
         }
+        ppp_detection_.resize(P);
         for (std::size_t p = 0; p < P; ++p) {
             ppp_detection_[p] = sensor_.detection_undetected * inside[p];
         }
         ppp_if_detected_ = ppp_detection_;
         hides_ = sensor_.occlusion && (sensor_.undetected_in_detail || H > 0);
-        if (hides_) {
-            missed_mean_ = mean_;
-            missed_cov_ = cov_;
-        }
-        ppp_missed_mean_ = ppp_.mean;
-        ppp_missed_cov_ = ppp_.cov;
         if (hides_) hide();
     }
 
     void hide() {
         const auto H = local_.count;
+        // Predicted, and row by row changed to what a miss makes of them.
+        auto &mean = missed_mean_, &cov = missed_cov_;
+        move(local_.mean, local_.cov, H, rules_.F, rules_.Q, mean, cov);
+        if (sensor_.undetected_in_detail) {
+            ppp_missed_mean_ = ppp_.mean;
+            ppp_missed_cov_ = ppp_.cov;
+        }
+        if_detected_.resize(H);
         const auto held = probability(table_, static_cast<std::int64_t>(H));
         Floats mass(H), track_existence(tracks_, 0.0);
         for (std::size_t h = 0; h < H; ++h) {
-            mass[h] = held[h] * existence_[h];
+            mass[h] = held[h] * existence(h);
             track_existence[local_.track[h]] += mass[h];
             if (local_.shown[h]) mass[h] *= rules_.stay;
         }
         for (auto& r : track_existence) r = std::min(r, 1.0);
         const auto best = likeliest(local_.track, local_.newest, mass.data(), H, tracks_,
                                     rules_.as_likely);
-        const Shadows shadows(sensor_.view.pose, {mean_.data(), cov_.data()}, local_.box,
+        const Shadows shadows(sensor_.view.pose, {mean.data(), cov.data()}, local_.box,
                               local_.track, H, track_existence.data(), best.data(), tracks_,
                               sensor_.occluders, occlusion_);
         Floats visible(H);
@@ -273,11 +284,11 @@ class Stepper {
         shadows.share_of_bearings(visible.data());
         for (std::size_t h = 0; h < H; ++h) {
             const double in_the_open = detection_[h];
-            if (is_vague(cov_.data() + 16 * h, occlusion_)) {
+            if (is_vague(cov.data() + 16 * h, occlusion_)) {
                 shadows.of_track(h, glimpse);
                 visible[h] = glimpse.share();
-                glimpse.if_missed(in_the_open, occlusion_.moves, missed_mean_.data() + 4 * h,
-                                  missed_cov_.data() + 16 * h);
+                glimpse.if_missed(in_the_open, occlusion_.moves, mean.data() + 4 * h,
+                                  cov.data() + 16 * h);
             }
             detection_[h] = in_the_open * visible[h];
             if_detected_[h] = in_the_open * std::max(visible[h], occlusion_.least_visible);
@@ -296,30 +307,40 @@ class Stepper {
     // Box 2.
     void associate() {
         const auto H = local_.count, M = scan_.count, K = local_.classes;
-        Floats prior(H);
-        for (std::size_t h = 0; h < H; ++h) prior[h] = existence_[h] * if_detected_[h];
-        known_ = std::make_unique<Expected>(mean_.data(), cov_.data(), sensor_.R, prior.data(),
-                                            false, H);
-        gate(known_->view(), scan_.position, M, rules_.gate, row_, measurement_, y_);
-        weigh(*known_, row_, measurement_, y_, pair_weight_);
-        known_->log_height = Floats();
-        for (std::size_t i = 0; i < row_.size(); ++i) {
-            const double* source = local_.source + K * static_cast<std::size_t>(row_[i]);
-            const double* evidence = scan_.evidence + K * static_cast<std::size_t>(measurement_[i]);
-            double ratio = 0;
-            for (std::size_t k = 0; k < K; ++k) ratio += source[k] * evidence[k];
-            pair_weight_[i] += std::max(std::log(ratio), kLogTiny);
+        const Gate gate(scan_.position, M, rules_.gate);
+        std::vector<Hit> hits;
+        for (std::size_t h = 0; h < H; ++h) {
+            const auto one = predicted(h);
+            const Innovation g(one.mean, one.cov, sensor_.R);
+            const double prior = existence(h) * (hides_ ? if_detected_[h] : detection_[h]);
+            const double log_height = std::log(prior) + g.log_norm();
+            gate.sorted(g, hits);
+            for (const auto& hit : hits) {
+                const double weight = log_height - 0.5 * (hit.y0 * hit.y0 + hit.y1 * hit.y1);
+                if (!(weight > kNothing)) continue;
+                const double* source = local_.source + K * h;
+                const double* evidence =
+                    scan_.evidence + K * static_cast<std::size_t>(hit.measurement);
+                double ratio = 0;
+                for (std::size_t k = 0; k < K; ++k) ratio += source[k] * evidence[k];
+                row_.push_back(static_cast<std::int64_t>(h));
+                measurement_.push_back(hit.measurement);
+                pair_weight_.push_back(weight + std::max(std::log(ratio), kLogTiny));
+            }
         }
+        release(if_detected_);
+        for (auto* column : {&row_, &measurement_}) column->shrink_to_fit();
+        pair_weight_.shrink_to_fit();
         missed_existence_.resize(H);
         Floats log_missed(H);
-        if (sensor_.scaled_misses) {
-            for (std::size_t h = 0; h < H; ++h) {
-                missed_existence_[h] = existence_[h] * (1 - detection_[h]);
+        for (std::size_t h = 0; h < H; ++h) {
+            const double r = existence(h);
+            if (sensor_.scaled_misses) {
+                missed_existence_[h] = r * (1 - detection_[h]);
                 log_missed[h] = 1 - detection_[h];
+            } else {
+                missed(&r, &detection_[h], 1, &missed_existence_[h], &log_missed[h]);
             }
-        } else {
-            missed(existence_.data(), detection_.data(), H, missed_existence_.data(),
-                   log_missed.data());
         }
         const double tiny = std::exp(kLogTiny);
         for (auto& weight : log_missed) weight = std::log(std::max(weight, tiny));
@@ -351,7 +372,7 @@ class Stepper {
                              log_missed.data(), static_cast<std::int64_t>(H), log_new_.data(),
                              static_cast<std::int64_t>(M), rules_.branching, out_.unlikely);
         out_.pairs = static_cast<std::int64_t>(row_.size());
-        pair_weight_ = Floats();
+        release(pair_weight_);
     }
 
     // Box 3: which candidates are used, and what decides which of them stay: existence and track.
@@ -362,6 +383,9 @@ class Stepper {
         const auto M = static_cast<std::int64_t>(scan_.count);
         children_.member =
             used(children_.member.data(), children_.member.size(), {H, n, M}, runs_);
+        const auto candidates = runs_[0].size() + runs_[1].size() + runs_[2].size();
+        track_.reserve(candidates);
+        existence_after_.reserve(candidates);
         for (const auto h : runs_[0]) {
             track_.push_back(local_.track[h]);
             existence_after_.push_back(missed_existence_[h]);
@@ -374,6 +398,7 @@ class Stepper {
             track_.push_back(static_cast<std::int64_t>(tracks_) + j);
             existence_after_.push_back(std::exp(log_birth_[j] - log_new_[j]));
         }
+        release(missed_existence_);
         ids_.assign(track_id_, track_id_ + tracks_);
         for (std::int64_t j = 0; j < M; ++j) ids_.push_back(detections_seen_ + j);
         if (recycled_before_ && !runs_[2].empty()) resume();
@@ -382,9 +407,6 @@ class Stepper {
         for (std::size_t p = 0; p < ppp_.size(); ++p) {
             ppp.log_weight[p] = ppp_.log_weight[p] + std::log1p(-ppp_detection_[p]);
         }
-        ppp.track = ppp_.track;
-        ppp.share = ppp_.share;
-        ppp.recycled = ppp_.recycled;
     }
 
     void resume() {
@@ -411,19 +433,24 @@ class Stepper {
     // Box 4, and the states of what stays.
     void reduce() {
         const auto candidates = track_.size();
-        auto reduced = pmbm::reduced(view_of(children_), existence_after_.data(), track_.data(),
+        auto reduced = pmbm::reduced(std::move(children_), existence_after_.data(), track_.data(),
                                      candidates, ids_.size(), rules_.reduction);
-        children_ = Table();
         out_.pruned = reduced.pruned;
         out_.capped = reduced.capped;
         out_.merged = reduced.merged;
         out_.tracks_capped = reduced.tracks_capped;
         out_.recycled = static_cast<std::int64_t>(reduced.recycled.size());
         fuse_new(reduced);
+        // The tables that stay come next, and what is free in between would stay beside them.
+        if (candidates > kMany) trim_heap();
         keep(reduced);
         auto& ppp = out_.undetected;
-        ppp.mean = std::move(ppp_missed_mean_);
-        ppp.cov = std::move(ppp_missed_cov_);
+        const bool changed = hides_ && sensor_.undetected_in_detail;
+        ppp.mean = std::move(changed ? ppp_missed_mean_ : ppp_.mean);
+        ppp.cov = std::move(changed ? ppp_missed_cov_ : ppp_.cov);
+        ppp.track = std::move(ppp_.track);
+        ppp.share = std::move(ppp_.share);
+        ppp.recycled = std::move(ppp_.recycled);
         if (rules_.recycle) {
             for (std::size_t i = 0; i < reduced.recycled.size(); ++i) {
                 recycle(static_cast<std::size_t>(reduced.recycled[i]), reduced.probability[i]);
@@ -431,6 +458,8 @@ class Stepper {
         }
         out_.hypotheses = std::move(reduced.table);
         for (const auto t : reduced.compact.tracks) out_.track_id.push_back(ids_[t]);
+        release(row_, measurement_, runs_, track_, ids_, fused_at_, existence_after_, new_mean_,
+                new_cov_, detection_, missed_mean_, missed_cov_, log_e_, log_birth_, log_new_, first_);
         reduce_undetected();
     }
 
@@ -471,16 +500,21 @@ class Stepper {
         const auto missed = runs_[0].size(), detected = runs_[1].size();
         if (candidate < missed) {
             const auto h = static_cast<std::size_t>(runs_[0][candidate]);
-            std::copy_n((hides_ ? missed_mean_ : mean_).data() + 4 * h, 4, mean);
-            std::copy_n((hides_ ? missed_cov_ : cov_).data() + 16 * h, 16, cov);
+            if (hides_) {
+                std::copy_n(missed_mean_.data() + 4 * h, 4, mean);
+                std::copy_n(missed_cov_.data() + 16 * h, 16, cov);
+            } else {
+                move(local_.mean + 4 * h, local_.cov + 16 * h, rules_.F, rules_.Q, mean, cov);
+            }
         } else if (candidate < missed + detected) {
             const auto pair = static_cast<std::size_t>(runs_[1][candidate - missed]);
             const auto h = static_cast<std::size_t>(row_[pair]);
-            const Correction c(cov_.data() + 16 * h, known_->l11[h], known_->l21[h],
-                               known_->l22[h], sensor_.R);
+            const auto before = predicted(h);
+            const Innovation g(before.mean, before.cov, sensor_.R);
+            const Correction c(before.cov, g, sensor_.R);
+            const auto y = g.whitened(scan_.position + 2 * measurement_[pair]);
             for (int a = 0; a < 4; ++a) {
-                mean[a] = mean_[4 * h + a] + c.W[2 * a] * y_[2 * pair] +
-                          c.W[2 * a + 1] * y_[2 * pair + 1];
+                mean[a] = before.mean[a] + c.W[2 * a] * y[0] + c.W[2 * a + 1] * y[1];
             }
             std::copy_n(c.after, 16, cov);
         } else {
@@ -552,7 +586,7 @@ class Stepper {
             const auto& law = sensor_.laws[s];
             const bool looks = s == sensor_.looking;
             confidence[s] = h >= 0 ? local_.confidence[S * h + s] : 0.0;
-            detectable[s] = h >= 0 ? detectable_[S * h + s] : law.usual;
+            detectable[s] = h >= 0 ? this->detectable(S * h + s) : law.usual;
             if (!looks) continue;
             if (j < 0) {
                 detectable[s] = law.if_missed(detectable[s], detection_[h]);
@@ -632,36 +666,31 @@ class Stepper {
 
     void reduce_undetected() {
         auto& ppp = out_.undetected;
-        Mixture kept;
-        for (std::size_t p = 0; p < ppp.size(); ++p) {
-            if (ppp.log_weight[p] > rules_.log_prune_undetected) kept.append(ppp, p);
-        }
-        out_.undetected_pruned = static_cast<std::int64_t>(ppp.size() - kept.size());
+        const auto all = ppp.size();
+        ppp.keep([&](std::size_t p) { return ppp.log_weight[p] > rules_.log_prune_undetected; });
+        out_.undetected_pruned = static_cast<std::int64_t>(all - ppp.size());
         out_.settled = settled_;
-        const auto before = static_cast<std::int64_t>(kept.size());
+        const auto before = static_cast<std::int64_t>(ppp.size());
         if (before > 2 * settled_ + rules_.few) {
             // Merging takes longer than what it saves until the mixture has grown.
             if (rules_.merge_below > 0 && before > 1) {
-                kept = merged_mixture(kept, rules_.merge_below, rules_.alike, rules_.as_heavy);
+                ppp = merged_mixture(ppp, rules_.merge_below, rules_.alike, rules_.as_heavy);
             }
-            out_.settled = static_cast<std::int64_t>(kept.size());
+            out_.settled = static_cast<std::int64_t>(ppp.size());
             out_.undetected_merged = before - out_.settled;
         }
         const auto most = static_cast<std::size_t>(rules_.max_undetected);
-        if (kept.size() > most) {
-            std::vector<std::size_t> order(kept.size());
+        if (ppp.size() > most) {
+            std::vector<std::size_t> order(ppp.size());
             std::iota(order.begin(), order.end(), 0);
             std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) {
-                return kept.log_weight[a] > kept.log_weight[b];
+                return ppp.log_weight[a] > ppp.log_weight[b];
             });
-            out_.undetected_capped = static_cast<std::int64_t>(kept.size() - most);
-            order.resize(most);
-            std::sort(order.begin(), order.end());
-            Mixture heaviest;
-            for (const auto p : order) heaviest.append(kept, p);
-            kept = std::move(heaviest);
+            out_.undetected_capped = static_cast<std::int64_t>(ppp.size() - most);
+            std::vector<bool> heavy(ppp.size(), false);
+            for (std::size_t i = 0; i < most; ++i) heavy[order[i]] = true;
+            ppp.keep([&](std::size_t p) { return heavy[p]; });
         }
-        ppp = std::move(kept);
     }
 
     static constexpr std::int32_t kMissed = -1, kBefore = -2;
@@ -678,16 +707,15 @@ class Stepper {
     const StepRules& rules_;
     const OcclusionRules& occlusion_;
 
-    // Predicted: local hypotheses and undetected objects, and both after a miss.
-    Floats mean_, cov_, existence_;
+    // The undetected objects, predicted; and what both kinds are after a miss, where something hides.
     Mixture ppp_;
     bool recycled_before_ = false, hides_ = false;
-    Floats detectable_, detection_, if_detected_, ppp_detection_, ppp_if_detected_;
+    Floats detection_, if_detected_, ppp_detection_, ppp_if_detected_;
     Floats missed_mean_, missed_cov_, missed_existence_, ppp_missed_mean_, ppp_missed_cov_;
     // Gated pairs, and first detections.
-    std::unique_ptr<Expected> known_, first_;
+    std::unique_ptr<Expected> first_;
     Ints row_, measurement_;
-    Floats y_, pair_weight_, log_e_, log_birth_, log_new_;
+    Floats pair_weight_, log_e_, log_birth_, log_new_;
     // Candidates: runs of missed, detected and new ones that are used.
     Table children_;
     std::vector<Ints> runs_;

@@ -17,6 +17,12 @@ namespace pmbm {
 using Ints = std::vector<std::int64_t>;
 using Floats = std::vector<double>;
 
+// Gives back the memory of what is done with: of many objects each column is large.
+template <typename... Columns>
+void release(Columns&... columns) {
+    ((columns = Columns()), ...);
+}
+
 // A bool of which a vector holds one after the other, as an array does.
 struct Flag {
     bool value;
@@ -53,6 +59,13 @@ struct Table {
         member.reserve(static_cast<std::size_t>(members));
     }
 
+    void clear() {
+        cluster.clear();
+        log_weight.clear();
+        start.resize(1);
+        member.clear();
+    }
+
     void close_row(std::int64_t of_cluster, double weight) {
         cluster.push_back(of_cluster);
         log_weight.push_back(weight);
@@ -63,6 +76,15 @@ struct Table {
 inline TableView view_of(const Table& t) {
     return {t.cluster.data(), t.start.data(), t.member.data(), t.log_weight.data(),
             static_cast<std::int64_t>(t.cluster.size())};
+}
+
+inline Table owned(const TableView& view) {
+    Table table;
+    table.cluster.assign(view.cluster, view.cluster + view.rows);
+    table.log_weight.assign(view.log_weight, view.log_weight + view.rows);
+    table.start.assign(view.start, view.start + view.rows + 1);
+    table.member.assign(view.member, view.member + view.members());
+    return table;
 }
 
 // Makes the weights of rows first to last - 1 add up to one.

@@ -8,10 +8,12 @@ import sys
 import time
 from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from floor import Floor
+from large import MILLION
 from rivals import Filterpy, Worker
 from world import SIZE, World
 
@@ -20,8 +22,8 @@ from pmbm.labels import Label
 
 SEEDS = range(5)
 WARM_UP, FRAMES = 20, 60
+HERE = Path(__file__).parent
 LARGE = (1_000, 10_000, 100_000)
-MILLION = 1_000_000
 
 Figure = tuple[float, dict[str, Any]]
 
@@ -160,9 +162,9 @@ def _runs(sizes: Sequence[int], seeds: Sequence[int]) -> list[dict[str, Any]]:
 
 @cache
 def _large_alone(objects: int, seed: int) -> dict[str, Any]:
-    """In a process of its own."""
+    """In a process of its own, which loads nothing but the tracker."""
     run = subprocess.run(
-        [sys.executable, __file__, str(objects), str(seed)],
+        [sys.executable, str(HERE / "large.py"), str(objects), str(seed)],
         check=True,
         capture_output=True,
         text=True,
@@ -207,33 +209,6 @@ def b_million_memory() -> Figure:
     return run["megabytes"] / 1e3, {}
 
 
-def _large(objects: int, seed: int) -> dict[str, Any]:
-    import resource
-
-    world = World(objects, 15.0, seed)
-    # As many tracks as there are objects, and no limit that makes the last ones cheap.
-    config = world.config().changed(
-        {"reduction.max_tracks": 20 * objects, "reduction.max_undetected": 20 * objects}
-    )
-    tracker = PMBMTracker(config, world.site)
-    warm_up, frames = (0, 5) if objects == MILLION else (6, 10)
-    seconds = []
-    for _, detections in world.each_frame(frames):
-        begin = time.process_time()
-        tracker.step(detections)
-        seconds.append(time.process_time() - begin)
-    unit = 1 if sys.platform == "darwin" else 1024
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
-    median = float(np.median(seconds[warm_up:]))
-    return {
-        "objects": objects,
-        "seed": seed,
-        "seconds": median,
-        "first_five": sum(seconds[:5]),
-        "megabytes": peak,
-    }
-
-
 def _as_tracks(when: float, rows: np.ndarray) -> Tracks:
     n = len(rows)
     return Tracks(
@@ -251,7 +226,3 @@ def _as_tracks(when: float, rows: np.ndarray) -> Tracks:
 def _scores(recording: Any, tracks: list[Tracks]) -> dict[str, float]:
     found = evaluate(recording, tracks, ["gospa", "mota"]).scalars()
     return {name: float(found[name] or 0.0) for name in ("gospa", "mota")}
-
-
-if __name__ == "__main__":
-    print(json.dumps(_large(int(sys.argv[1]), int(sys.argv[2]))))

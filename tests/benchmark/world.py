@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +59,22 @@ class World:
 
     def each_frame(self, count: int) -> Iterator[tuple[GroundTruth, Detections]]:
         """The same, one after another, for scenes that are too large to keep."""
+        random, moved = self._start()
+        for frame in range(count):
+            position, velocity, yaw = moved(frame)
+            yield (
+                _truth(DT * frame, position, velocity, yaw),
+                self._detected(random, DT * frame, position, yaw),
+            )
+
+    def each_scan(self, count: int) -> Iterator[Detections]:
+        """The detections of the same frames, and nothing kept beside them."""
+        random, moved = self._start()
+        for frame in range(count):
+            yield self._detected(random, DT * frame, *moved(frame)[::2])
+
+    def _start(self) -> tuple[np.random.Generator, Callable[[int], tuple[np.ndarray, ...]]]:
+        """The random numbers to come, and position (N,2), velocity (N,2) and yaw (N,) by frame."""
         random = np.random.default_rng([self.seed, self.objects, round(10 * self.spacing)])
         n = self.objects
         columns = math.ceil(math.sqrt(n))
@@ -67,27 +83,30 @@ class World:
         radius = self.spacing / 5
         turning = min(5 / radius, math.sqrt(2 / radius)) * random.uniform(-1, 1, n)
         start = random.uniform(-math.pi, math.pi, n)
-        for frame in range(count):
+
+        def moved(frame: int) -> tuple[np.ndarray, ...]:
             phase = start + turning * DT * frame
             heading = np.stack([-np.sin(phase), np.cos(phase)], axis=1)
             position = centre + radius * np.stack([np.cos(phase), np.sin(phase)], axis=1)
             velocity = radius * turning[:, None] * heading
-            yaw = np.arctan2(velocity[:, 1], velocity[:, 0])
-            time = DT * frame
-            seen = random.random(n) < DETECTION_PROBABILITY
-            clutter = random.poisson(n / 5)
-            measured = np.concatenate(
-                [
-                    position[seen] + random.normal(scale=MEASUREMENT_SD, size=(seen.sum(), 2)),
-                    random.uniform(-self.side / 2, self.side / 2, size=(clutter, 2)),
-                ]
-            )
-            heading_of = np.concatenate([yaw[seen], random.uniform(-math.pi, math.pi, clutter)])
-            order = random.permutation(len(measured))
-            yield (
-                _truth(time, position, velocity, yaw),
-                _seen(time, measured[order], heading_of[order]),
-            )
+            return position, velocity, np.arctan2(velocity[:, 1], velocity[:, 0])
+
+        return random, moved
+
+    def _detected(
+        self, random: np.random.Generator, time: float, position: np.ndarray, yaw: np.ndarray
+    ) -> Detections:
+        seen = random.random(self.objects) < DETECTION_PROBABILITY
+        clutter = random.poisson(self.objects / 5)
+        measured = np.concatenate(
+            [
+                position[seen] + random.normal(scale=MEASUREMENT_SD, size=(seen.sum(), 2)),
+                random.uniform(-self.side / 2, self.side / 2, size=(clutter, 2)),
+            ]
+        )
+        heading_of = np.concatenate([yaw[seen], random.uniform(-math.pi, math.pi, clutter)])
+        order = random.permutation(len(measured))
+        return _seen(time, measured[order], heading_of[order])
 
     def recording(self, count: int) -> Recording:
         """The same as a `Recording`, to score on."""

@@ -198,7 +198,9 @@ void fuzz_joins(const Scene& scene, const pmbm::Ints& row, const pmbm::Ints& own
             }
         }
     }
-    for (const auto limit : pmbm::row_limits(view(table), clusters, cap, largest)) {
+    pmbm::Ints limits(static_cast<std::size_t>(clusters), cap);
+    pmbm::limit_rows(view(table), cap, largest, limits);
+    for (const auto limit : limits) {
         require(limit >= 1 && limit <= cap, "a limit beyond the cap");
     }
     if (!roomy) return;
@@ -230,18 +232,15 @@ void fuzz_tables() {
     const pmbm::PairsView known{row.data(), measurement.data(), weight.data(),
                                 static_cast<std::int64_t>(row.size())};
     const auto scans = static_cast<std::int64_t>(cluster_of.size());
+    const pmbm::Scanned scan(known, missed.data(), locals, fresh.data(), scans, cluster_of.data(),
+                             clusters);
     const auto children =
-        pmbm::best_children(view(scene.table), known, missed.data(), locals, fresh.data(),
-                            cluster_of.data(), scans, clusters, allowed.data(),
+        pmbm::best_children(view(scene.table), scan, allowed.data(),
                             chance() < 0.5 ? 1000000 : whole(1, 20), chance() < 0.5 ? 4 : kInf,
                             chance() < 0.5 ? -4 : -kInf);
     pmbm::Table made;
-    pmbm::extend(
-        made, view(scene.table),
-        {children.parent.data(), children.taker.data(), children.entry.data(),
-         children.pair.data(), children.log_weight.data(), children.parent.size(),
-         children.taker.size()},
-        known, cluster_of.data(), scans, clusters, locals);
+    std::vector<unsigned char> taken(cluster_of.size(), 0);
+    pmbm::extend(made, view(scene.table), children, scan, taken);
     const auto candidates = locals + known.count + scans;
     std::int64_t dropped = 0;
     check_table(pmbm::branched(view(scene.table), known, missed.data(), locals, fresh.data(), scans,
@@ -307,7 +306,7 @@ void fuzz_reduction() {
                                        chance() < 0.8,
                                        chance() < 0.5 ? 0.0 : 0.2 * chance(),
                                        whole(1, 20)};
-    const auto made = pmbm::reduced(view(scene.table), existence.data(), scene.track.data(), locals,
+    const auto made = pmbm::reduced(pmbm::Table(scene.table), existence.data(), scene.track.data(), locals,
                                     tracks, limits);
     const auto kept = static_cast<std::int64_t>(made.compact.rows.size());
     check_table(made.table, kept, nullptr);

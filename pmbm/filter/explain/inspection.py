@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from pmbm.filter.density import BEFORE, MISSED, Density, Index, Locals, summed
@@ -226,6 +225,8 @@ def _hiders(
 
     A name for people to read; how much is hidden is the filter's own reckoning.
     """
+    import shapely
+
     outline = corners(best.mean[:, :2], best.box[:, 1:4], best.box[:, 4])
     ends = np.concatenate([outline, best.mean[:, None, :2]], axis=1)[hidden].reshape(-1, 2)
     sight = shapely.linestrings(np.stack([np.broadcast_to(origin, ends.shape), ends], axis=1))

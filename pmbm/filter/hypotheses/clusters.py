@@ -4,8 +4,6 @@ they have become independent."""
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from pmbm.filter.density import Globals, Index, ragged, starts, summed
 from pmbm.types import ABSENT, FloatArray
@@ -320,6 +318,9 @@ def _dense(table: Globals, rows: slice, track: Index) -> Index:
 
 def _groups(choice: Index, weight: FloatArray, tolerance: float) -> list[Index]:
     """Columns of a dense table (G,J), in groups that hardly depend on each other."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     tracks = choice.shape[1]
     present = choice != ABSENT
     names, column = np.unique(choice[present], return_inverse=True)

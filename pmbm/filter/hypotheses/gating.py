@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pmbm.filter.density import Index, Mixture, summed
 from pmbm.filter.hypotheses.gaussian import Innovation
@@ -187,6 +186,8 @@ def _near_by_tree(centre: FloatArray, radius: FloatArray, z: FloatArray) -> tupl
     Most reaches are about equally wide and hold few points: these are looked up together.  The
     crowded ones among them are looked up again, and the wide ones compared with every point.
     """
+    from scipy.spatial import cKDTree
+
     tree = cKDTree(z)
     usual = radius <= _USUAL_WIDTH * np.median(radius)
     rows = np.flatnonzero(usual)

@@ -84,12 +84,18 @@ class IdInheritance:
     def _named(self, density: Density, existence: FloatArray, reported: Index) -> Density:
         """Let candidates that are reported inherit the ids of tracks that are reported no more,
         unless both are there."""
-        names = density.track_id.tolist()
-        row_of = dict(zip(names, range(len(names)), strict=True))
-        shown = {names[row] for row in reported.tolist()}
-        heirs = dict(zip(self.candidate.tolist(), self.reported_as.tolist(), strict=True))
+        ids = density.track_id
+        asking = reported[_among(ids[reported], self.candidate)]
+        own_ids = ids[asking]
+        wanted = self.reported_as[self.candidate.searchsorted(own_ids)]
+        # Of all tracks, those that may exchange their ids.
+        theirs = np.flatnonzero(_among(ids, np.sort(wanted)))
+        names = dict(zip(asking.tolist(), own_ids.tolist(), strict=True))
+        row_of = dict(zip(ids[theirs].tolist(), theirs.tolist(), strict=True))
+        shown = {*own_ids.tolist(), *wanted[_among(wanted, np.sort(ids[reported]))].tolist()}
+        heirs = dict(zip(own_ids.tolist(), wanted.tolist(), strict=True))
         renamed = _Exchanges()
-        for row in reported[_among(density.track_id[reported], self.candidate)].tolist():
+        for row in asking.tolist():
             own = names[row]
             reported_as = heirs.get(own)
             if reported_as is None or reported_as in shown:

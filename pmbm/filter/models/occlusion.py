@@ -14,10 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from pmbm.filter.density import Density, Index, Locals, starts
 from pmbm.filter.estimation import marginals
@@ -40,18 +40,18 @@ CAR_SD = 0.8
 """m; standard deviation, along any axis, of a point drawn evenly from a car's outline."""
 
 
-def _normal_points(count: int) -> FloatArray:
+@cache
+def nodes(count: int = 24) -> FloatArray:
     """Points (count,2) of equal weight that stand for a standard normal: its quantiles along both
     axes, paired as evenly as a golden lattice does, with its mean and covariance."""
+    from scipy.special import ndtri
+
     i = np.arange(count)
     turn = np.mod((i + 0.5) * (np.sqrt(5) - 1) / 2, 1.0)
     point = ndtri(np.column_stack([(i + 0.5) / count, turn]))
     point -= point.mean(axis=0)
     root = np.linalg.cholesky(point.T @ point / count)
     return np.linalg.solve(root, point.T).T
-
-
-NODES = _normal_points(24)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -118,7 +118,7 @@ class Glimpse:
         return 0.5 * (cov + cov.transpose(0, 2, 1))
 
 
-_NO_GLIMPSE = Glimpse(np.zeros((0, len(NODES))), np.zeros((0, len(NODES), 2)), np.zeros((0, 2, 2)))
+_NO_GLIMPSE = Glimpse(np.zeros((0, 1)), np.zeros((0, 1, 2)), np.zeros((0, 2, 2)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -247,8 +247,9 @@ class Shadows:
         sd = np.sqrt(S[:, 0, 0])
         slope = S[:, 0, 1] / sd
         rest = np.sqrt(np.maximum(S[:, 1, 1] - slope**2, 0.0))
-        side = sd[:, None] * NODES[:, 0]
-        depth = slope[:, None] * NODES[:, 0] + rest[:, None] * NODES[:, 1]
+        first, second = nodes().T
+        side = sd[:, None] * first
+        depth = slope[:, None] * first + rest[:, None] * second
         ahead = range_[:, None] + depth
         angle = np.arctan2(line[:, 1], line[:, 0])[:, None] + np.arctan2(side, ahead)
         bearing = bearing_of(angle - self.pose[2]).ravel()

@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pmbm.filter.density import Index, Mixture, MixtureColumns
 from pmbm.filter.hypotheses.gaussian import moments, symmetric
@@ -245,6 +244,8 @@ def capped(mixture: Mixture, most: int) -> Mixture:
     of those that are equally near."""
     if len(mixture) <= most:
         return mixture
+    from scipy.spatial import cKDTree
+
     order = np.argsort(-np.rint(mixture.log_weight / _ALIKE), kind="stable")
     place = mixture.mean[:, :2]
     group = np.empty(len(mixture), np.int64)

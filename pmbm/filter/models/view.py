@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from pmbm.kernels import twin
 from pmbm.types import FloatArray, MountedSensor, Site
@@ -55,6 +54,8 @@ def _share_inside(
     half_angle: float,
     max_range: float,
 ) -> FloatArray:
+    from scipy.special import ndtr
+
     dx, dy = mean[:, 0] - pose[0], mean[:, 1] - pose[1]
     distance = np.hypot(dx, dy)
     sd = np.sqrt(np.maximum(cov[:, 0, 0] + cov[:, 1, 1], 1e-12) / 2)
