@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmbm import kernels
-from pmbm.filter.density import Density, Index, Locals, probability_of_members, summed
+from pmbm.filter.density import Density, Index, Locals, summed
 from pmbm.filter.models.view import View
 from pmbm.kernels import twin
 from pmbm.types import BoolArray, FloatArray, IntArray
@@ -56,50 +56,8 @@ def _objects(of_class: FloatArray, existence: FloatArray, share: FloatArray) -> 
 def in_view(density: Density, view: View) -> tuple[Marginals, FloatArray]:
     """The marginals of a density, and the probability (T,) that each track's likeliest state lies
     in the view."""
-    local, table = density.local, density.hypotheses
-    existence, of_class, best, inside = _marginals(
-        table.columns(),
-        local.track,
-        local.newest,
-        local.shown,
-        local.existence,
-        local.marks.source,
-        local.mean,
-        local.cov,
-        len(density.track_id),
-        view.pose,
-        view.centre,
-        view.half_angle,
-        view.max_range,
-        STAY,
-        ALIKE,
-    )
-    return Marginals(existence, of_class, best), inside
-
-
-@twin("marginals")
-def _marginals(
-    table: tuple[Index, FloatArray, Index, Index],
-    track: Index,
-    newest: IntArray,
-    shown: BoolArray,
-    existence: FloatArray,
-    source: FloatArray,
-    mean: FloatArray,
-    cov: FloatArray,
-    tracks: int,
-    pose: FloatArray,
-    centre: float,
-    half_angle: float,
-    max_range: float,
-    stay: float,
-    alike: float,
-) -> tuple[FloatArray, FloatArray, Index, FloatArray]:
-    mass = probability_of_members(*table, len(track)) * existence
-    best = _likeliest(track, newest, np.where(shown, stay, 1.0) * mass, tracks, alike)
-    inside = View(pose, centre, half_angle, max_range).share_inside(mean[best], cov[best])
-    exists = summed(mass, track, tracks).clip(max=1.0)
-    return exists, _by_class(track, source, mass, tracks), best, inside
+    marginal, local = marginals(density), density.local
+    return marginal, view.share_inside(local.mean[marginal.best], local.cov[marginal.best])
 
 
 def marginals(density: Density) -> Marginals:

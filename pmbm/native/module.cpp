@@ -279,14 +279,6 @@ Output<double> level_evidence(Input<double> log_odds, Input<double> level, doubl
     return array_of(std::move(height), {M, L});
 }
 
-Output<double> detectable_if_missed(Input<double> detectable, Input<double> P_D,
-                                    double undetectable) {
-    std::vector<double> after(detectable.size());
-    pmbm::detectable_if_missed(detectable.data(), P_D.data(), detectable.size(), undetectable,
-                               after.data());
-    return hand_over(std::move(after));
-}
-
 // Returns the missed, the detected and the new candidates that are used, and the members' names.
 nb::tuple used(Input<std::int64_t> member, std::int64_t missed, std::int64_t detected,
                std::int64_t fresh) {
@@ -766,40 +758,6 @@ nb::tuple step(nb::handle rules, nb::handle interval, nb::handle ppp, nb::handle
                           removed, apart, seconds);
 }
 
-// What a report asks of a density: existence of tracks, that of sources of each class, the rows of
-// the likeliest local hypotheses, and how probably these are in view.
-nb::tuple marginals(nb::tuple table, Input<std::int64_t> track, Input<std::int64_t> newest,
-                    Input<bool> shown, Input<double> existence, Table<double> source, Table<double> mean,
-                    Table<double> cov, std::int64_t tracks, Input<double> pose, double centre, double half_angle,
-                    double max_range, double stay, double alike) {
-    const auto H = existence.size(), K = source.shape(1), T = static_cast<std::size_t>(tracks);
-    const auto held = pmbm::probability(
-        view(nb::cast<Input<std::int64_t>>(table[0]), nb::cast<Input<double>>(table[1]),
-             nb::cast<Input<std::int64_t>>(table[2]), nb::cast<Input<std::int64_t>>(table[3])),
-        static_cast<std::int64_t>(H));
-    std::vector<double> mass(H), exists(T, 0.0), of_class(T * K, 0.0), at_best, inside(T);
-    for (std::size_t h = 0; h < H; ++h) {
-        mass[h] = held[h] * existence.data()[h];
-        const auto t = static_cast<std::size_t>(track.data()[h]);
-        exists[t] += mass[h];
-        for (std::size_t k = 0; k < K; ++k) {
-            of_class[K * t + k] += mass[h] * source.data()[K * h + k];
-        }
-    }
-    for (auto& r : exists) r = std::min(r, 1.0);
-    for (std::size_t h = 0; h < H; ++h) {
-        if (shown.data()[h]) mass[h] *= stay;
-    }
-    auto best = pmbm::likeliest(track.data(), newest.data(), mass.data(), H, T, alike);
-    for (std::size_t t = 0; t < T; ++t) {
-        const auto h = static_cast<std::size_t>(best[t]);
-        pmbm::share_inside(mean.data() + 4 * h, cov.data() + 16 * h, 1,
-                           {pose.data(), centre, half_angle, max_range}, &inside[t]);
-    }
-    return nb::make_tuple(hand_over(std::move(exists)), array_of(std::move(of_class), {T, K}),
-                          hand_over(std::move(best)), hand_over(std::move(inside)));
-}
-
 nb::tuple neighbours(Table<double> along, Table<double> aside, Input<bool> seen,
                      Input<double> half_width, Input<double> length, Input<std::int64_t> first,
                      Input<std::int64_t> searched, Input<double> offset, double reach,
@@ -845,7 +803,6 @@ NB_MODULE(_native, m) {
     m.def("first_detections", &first_detections);
     m.def("share_inside", &share_inside);
     m.def("missed", &missed);
-    m.def("detectable_if_missed", &detectable_if_missed);
     m.def("level_evidence", &level_evidence);
     m.def("read_off", &read_off);
     m.def("objects", &objects);
@@ -865,7 +822,6 @@ NB_MODULE(_native, m) {
     m.def("probability", &probability);
     m.def("settled", &settled);
     m.def("step", &step);
-    m.def("marginals", &marginals);
     m.def("neighbours", &neighbours);
     m.def("near_pairs", &near_pairs);
 }

@@ -1,5 +1,5 @@
 // What a sensor can see, and what a miss says.  The plain versions are _share_inside() of view.py,
-// _missed() of sensor.py and detectable_if_missed() of detection.py, and say what is meant.
+// _missed() of sensor.py, and say what is meant.
 #pragma once
 
 #include <algorithm>
@@ -51,18 +51,6 @@ inline void missed(const double* r, const double* P_D, std::size_t count, double
     for (std::size_t i = 0; i < count; ++i) {
         left[i] = 1 - r[i] * P_D[i];
         existence[i] = left[i] > 0 ? r[i] * (1 - P_D[i]) / left[i] : 0.0;
-    }
-}
-
-// P(seen) after a miss; `unseen` is the share of P_D that is left of what is not seen.
-inline void detectable_if_missed(const double* seen, const double* P_D, std::size_t count, double unseen,
-                           double* after) {
-    for (std::size_t i = 0; i < count; ++i) {
-        const double share = seen[i] + (1 - seen[i]) * unseen;
-        const double missed_if_seen =
-            1 - P_D[i] / std::max(share, std::numeric_limits<double>::min());
-        const double chance = 1 - P_D[i];
-        after[i] = chance > 0 ? seen[i] * missed_if_seen / chance : seen[i];
     }
 }
 

@@ -2,6 +2,7 @@
 // test_kernel_sanitized.py with the address and undefined-behaviour sanitizers.
 #include "k_best.hpp"
 #include "branch.hpp"
+#include "detection.hpp"
 #include "overlaps.hpp"
 #include "gate.hpp"
 #include "join.hpp"
@@ -505,9 +506,12 @@ void fuzz_sensor() {
     // P_D over both states is at most that of what is seen.
     const double unseen = chance();
     for (std::size_t i = 0; i < n; ++i) P_D[i] *= r[i] + (1 - r[i]) * unseen;
-    pmbm::detectable_if_missed(r.data(), P_D.data(), n, unseen, after.data());
+    const pmbm::DetectionLaw law{0.9, 0.9, false, 0, unseen, chance(), chance()};
     for (std::size_t i = 0; i < n; ++i) {
-        require(after[i] >= 0 && after[i] <= r[i] + 1e-12, "a miss made being seen likelier");
+        const double missed = law.if_missed(r[i], P_D[i]);
+        require(missed >= 0 && missed <= r[i] + 1e-12, "a miss made being detectable likelier");
+        const double found = law.if_detected(r[i]);
+        require(found >= r[i] - 1e-12 && found <= 1 + 1e-12, "a detection made it less so");
     }
 }
 

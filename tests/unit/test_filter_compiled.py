@@ -11,9 +11,9 @@ import pytest
 from filter_problems import KEEP_ALL, bernoullis, plain_sensor, scan_of
 
 from pmbm import Detections, PMBMConfig, PMBMTracker, Site, kernels
-from pmbm.filter import DetectionChain, LastingScores
+from pmbm.filter import LastingScores
 from pmbm.filter.association import associate
-from pmbm.filter.density import Density, Globals, Marks, Mixture, RecycledFrom, starts
+from pmbm.filter.density import Density, Globals, Mixture, RecycledFrom, starts
 from pmbm.filter.estimation import suppress_overlaps
 from pmbm.filter.hypotheses.branching import branch
 from pmbm.filter.hypotheses.clusters import factor, merge_equal
@@ -194,10 +194,6 @@ def test_misses_say_the_same(monkeypatch):
     fast, plain = on_both(monkeypatch, lambda: sensor.missed(r, P_D))
     for one, other in zip(fast, plain, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-14)
-    chain = DetectionChain(undetectable=0.1, stay_detectable=0.97, stay_undetectable=0.8)
-    marks = replace(Marks.neutral(200), detectable=r)
-    fast, plain = on_both(monkeypatch, lambda: chain.if_missed(marks, P_D).detectable)
-    np.testing.assert_allclose(fast, plain, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("H", "n", "M"), [(0, 0, 0), (5, 0, 0), (0, 0, 4), (9, 7, 30)])

@@ -10,7 +10,6 @@ import numpy as np
 from pmbm.errors import InputError
 from pmbm.filter.density import Marks
 from pmbm.filter.models.protocols import DETECTIONS, Detection
-from pmbm.kernels import twin
 from pmbm.score import ScoreModel, confidence_in
 from pmbm.types import Detections, FloatArray
 from pmbm.validation import POSITIVE, SHARE, Bounds, check_fields
@@ -197,7 +196,6 @@ class DetectionChain:
         return detectable / np.maximum(self.share(detectable), np.finfo(float).tiny)
 
 
-@twin("detectable_if_missed")
 def detectable_if_missed(
     detectable: FloatArray, P_D: FloatArray, undetectable: float
 ) -> FloatArray:
