@@ -2,17 +2,22 @@
 
 import os
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pmbm.cli import main
 from pmbm.cli.dataset_scores import rule_of, score_run, score_sequence
 from pmbm.cli.fit_tracker import fits_of
-from pmbm.cli.left_out import left_out, trackers_of
+from pmbm.cli.left_out import folds_of, left_out, trackers_of
 from pmbm.cli.track import at_cost, class_trackers, preset, shipped_detectors
 from pmbm.datasets import open_dataset
+from pmbm.filter.models.score_record import WEIGHTS
 from pmbm.fitting.baselines import FITTED
+from pmbm.fitting.score_record import Told
+from pmbm.types import Site
 
 FOLDS = 8
 OF_ALL_CLASSES = ("pointrcnn", "pvrcnn", "second_iou")
@@ -112,6 +117,64 @@ def test_existence_is_honest_on_sequences_left_out(fits, worth, mode, verified, 
         )
         missed += [(kind, name) for name in short if kind == "Car" or name == "regret"]
     assert not missed
+
+
+PARTS = {
+    "score": ("score",),
+    "count": ("count",),
+    "detected": ("detected",),
+    "distance": ("distance", "distance_squared"),
+    "rival": ("rival",),
+}
+"""Parts of a score record, and the weights of each."""
+
+
+def without(told, names):
+    """Rows of which a record knows less."""
+    columns = [WEIGHTS.index(name) for name in names]
+
+    def blank(rows):
+        features = rows.features.copy()
+        features[:, columns] = 0.0
+        return replace(rows, features=features)
+
+    return Told(blank(told.online), blank(told.batch))
+
+
+def losses(fits, mode):
+    """Of each class the mean log loss of its rows, each sequence by a fit to other folds."""
+    names = list(fits.recordings)
+    found = {kind: [] for kind in fits.dataset.classes}
+    for held in folds_of(names, FOLDS):
+        tables = fits.fitted([name for name in names if name not in held])
+        for label, tracker in trackers_of(fits.dataset, "pmbm", tables).items():
+            kind = fits.dataset.classes[fits.dataset.labels.index(label)]
+            weights = getattr(tracker(Site()).config.scores, mode)
+            for name in held:
+                rows = getattr(fits.found[kind, name], mode)
+                p = (rows.existence * weights.share(rows.features)).clip(1e-4, 1 - 1e-4)
+                found[kind].append(-np.where(rows.true, np.log(p), np.log1p(-p)))
+    return {kind: float(np.concatenate(own).mean()) for kind, own in found.items()}
+
+
+@pytest.mark.parametrize("mode", ["online", "batch"])
+def test_each_part_of_a_record_earns_its_place(fits, mode, capsys):
+    """Log loss on sequences left out of the fit, all parts and each left out.  Over the classes
+    together none does harm by more than a fiftieth of it."""
+    detector, ours = fits
+    told = {"everything": losses(ours, mode)}
+    for part, names in PARTS.items():
+        found = {key: without(one, names) for key, one in ours.found.items()}
+        beside = [{key: without(rows, names) for key, rows in one.items()} for one in ours.beside]
+        told[f"without {part}"] = losses(replace(ours, found=found, beside=beside), mode)
+    told["without other detectors"] = losses(replace(ours, beside=()), mode)
+    with capsys.disabled():
+        for part, own in told.items():
+            cells = " | ".join(f"{value:.4f}" for value in own.values())
+            print(f"\n| {detector} {mode} | {part} | {cells} |", end="")
+    whole = sum(told["everything"].values())
+    for part in PARTS:
+        assert sum(told[f"without {part}"].values()) > 0.98 * whole, part
 
 
 @pytest.mark.parametrize("baseline", FITTED)
