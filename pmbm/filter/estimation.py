@@ -19,7 +19,7 @@ from pmbm.types import BoolArray, FloatArray, IntArray
 
 ALIKE = 1e-9
 """Relative difference of masses below which rounding must not choose between them."""
-STAY = 3.0
+STAY = 30.0
 """How many times likelier than what was reported last of a track something else must be to take its
 place.  Where two tracks may be exchanged, the scales tip with every detection."""
 _WHOLE = 1.5

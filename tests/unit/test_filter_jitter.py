@@ -245,11 +245,11 @@ def test_hypotheses_that_agree_on_the_newest_detection_are_weighed_together(assi
     assert estimation._likeliest(track, newest, mass, 1, 1e-9).tolist() == [2]
 
 
-def test_what_was_shown_last_stays_until_something_is_three_times_as_likely(assignment_kernel):
+def test_what_was_shown_last_stays_until_something_is_thirty_times_as_likely(assignment_kernel):
     track = np.zeros(2, np.intp)
     apart = bernoullis(track, np.ones(2), np.zeros((2, 4)), np.tile(np.eye(4), (2, 1, 1)))
     apart = replace(apart, newest=np.array([4, 7]), shown=np.array([True, False]))
-    for weights, shown in (([0.3, 0.7], 0), ([0.2, 0.8], 1)):
+    for weights, shown in (([0.04, 0.96], 0), ([0.03, 0.97], 1)):
         table = Globals(
             np.zeros(2, np.intp), np.log(weights), np.arange(3), np.arange(2, dtype=np.intp)
         )
