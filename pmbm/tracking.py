@@ -6,7 +6,7 @@ import functools
 import inspect
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -30,6 +30,8 @@ TrackerFactory = Callable[..., Tracker]
 """Makes a fresh tracker; one that takes a parameter `site` is given the recording's, and one that
 takes `seed` a whole number that differs from trial to trial."""
 
+_AT_A_TRACK = 5.0
+"""m from a track within which a detection that tells no class is taken for its."""
 _SAME_TIME = 1e-6
 """s by which a report's time may differ from that of its detections: rounding."""
 
@@ -112,6 +114,9 @@ class ByLabel:
     site, seed : handed to the factories that take them.
 
     For detectors whose classes do not compete, and for parameters that differ between classes.
+
+    Of several sensors, one that tells no classes (a radar) adds to what others have found: each of
+    its boxes goes to the tracker that reported the nearest track, within 5 m; none begins a track.
     """
 
     def __init__(
@@ -122,6 +127,7 @@ class ByLabel:
             Label(label): make_tracker(factory, site, seed) for label, factory in factories.items()
         }
         self._ids: dict[tuple[Label, int], int] = {}
+        self._reports: list[tuple[Label, Tracks]] = []
 
     def step(self, detections: Detections, /) -> Tracks:
         """Every tracker sees its own label's detections, or, where it has an attribute
@@ -129,13 +135,29 @@ class ByLabel:
 
         Raises InputError where time runs backwards.
         """
+        if detections.sensor and (detections.label == Label.OTHER).all():
+            detections = self._classed(detections)
         reports = []
         for label, tracker in self.trackers.items():
             tracks = tracker.step(seen_by(tracker, label, detections))
             reports.append((label, tracks))
+        self._reports = reports
         names = [(label, i) for label, tracks in reports for i in tracks.id.tolist()]
         ids = [self._ids.setdefault(name, len(self._ids)) for name in names]
         return joined_tracks(detections.time, [tracks for _, tracks in reports], ids)
+
+    def _classed(self, detections: Detections) -> Detections:
+        """Detections that tell no classes, with the label whose tracker reported the nearest track
+        last; those that lie at none keep theirs."""
+        label = detections.label.copy()
+        nearest = np.full(len(label), _AT_A_TRACK)
+        for each, tracks in self._reports:
+            place = tracks.position[:, :2] + (detections.time - tracks.time) * tracks.velocity
+            offset = detections.position[:, None, :2] - place
+            apart = np.hypot(offset[..., 0], offset[..., 1]).min(axis=1, initial=np.inf)
+            label[apart < nearest] = each
+            nearest = np.minimum(nearest, apart)
+        return replace(detections, label=label)
 
 
 def seen_by(tracker: Tracker, label: Label, detections: Detections) -> Detections:

@@ -16,6 +16,7 @@ F frames of truth, D deliveries of detections, S steps of a tracker.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from types import MappingProxyType
@@ -419,9 +420,11 @@ class MountedSensor:
 
     def carrier_of(self, pose: FloatArray) -> FloatArray:
         """The carrier's pose (3,) where the sensor's is `pose` (3,)."""
-        yaw = pose[2] - self.mount[2]
-        at_origin = self.pose_on(np.array([0.0, 0.0, yaw]))
-        return np.array([pose[0] - at_origin[0], pose[1] - at_origin[1], yaw])
+        forward, left, turn = self.mount.tolist()
+        x, y, yaw = pose.tolist()
+        yaw -= turn
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        return np.array([x - (forward * cos - left * sin), y - (forward * sin + left * cos), yaw])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

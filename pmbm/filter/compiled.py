@@ -46,10 +46,12 @@ _PARTS = ("predict", "associate", "update", "reduce")
 
 def has(frame: Frame) -> bool:
     """Whether this step is compiled for a frame: its measurements are positions of one covariance,
-    with boxes and labels that count, and P_D is one of the models known here."""
+    with boxes and labels that count, of a sensor that sees, and P_D is one of the models known
+    here."""
     return (
         frame.scan.radar is None
         and frame.sensor.describes
+        and not frame.blind
         and all(map(_has_law, _models(frame.detection)))
     )
 

@@ -158,10 +158,15 @@ class PMBMConfig:
 
     @classmethod
     def textbook(cls) -> PMBMConfig:
-        """Exact Bayes with one P_D for all in view: scores ignored, nothing hides anything
-        (Williams 2015; Garcia-Fernandez et al. 2018)."""
+        """Exact Bayes with one P_D for all in view: scores ignored, nothing hides anything, every
+        sensor is as it is said to be (Williams 2015; Garcia-Fernandez et al. 2018)."""
         return cls(
-            sensor=Sensor(detection=FixedDetection(probability=0.9), occlusion=False),
+            sensor=Sensor(
+                detection=FixedDetection(probability=0.9),
+                occlusion=False,
+                align=False,
+                may_fail=False,
+            ),
             scores=IgnoreScores(),
             report=Report(exclusive=False),
         )
@@ -179,6 +184,8 @@ class PMBMConfig:
                 detection=DetectionFromScores(undetected=0.9),
                 occlusion=False,
                 miss_rule="scaled",
+                align=False,
+                may_fail=False,
             ),
             scores=FirstScore(),
             report=Report(exclusive=False),

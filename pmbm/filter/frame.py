@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pmbm.errors import InputError
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Mixture
 from pmbm.filter.models.detection_by_sensor import DetectionBySensor
@@ -58,33 +57,38 @@ class Frame:
         offset = math.hypot(*(view.pose[:2] - region.pose[:2]))
         return view.half_angle < math.pi or view.max_range + offset < region.max_range - 1e-6
 
+    @property
+    def blind(self) -> bool:
+        """Whether its sensor, one of several, sees nothing in it."""
+        return isinstance(self.detection, DetectionBySensor) and self.detection.blind
+
+    def blinded(self) -> Frame:
+        """The frame of a sensor, one of several, that sees nothing in it."""
+        assert isinstance(self.detection, DetectionBySensor)
+        return replace(self, detection=replace(self.detection, blind=True))
+
 
 def form_frame(
     model: PMBMConfig,
     site: Site,
     detections: Detections,
     *,
+    carrier: FloatArray,
     last: float | None,
     births_memory: Any,
     scene: SceneDensity,
 ) -> Frame:
     """The frame of these detections.
 
+    carrier (3,) : pose of what carries the sensor.
     last : s, time of the frame before; None for the first.
     births_memory, scene : as the frame before left them.
 
-    Raises InputError where time runs backwards, or where the site has no such sensor.
+    Raises InputError where the site has no such sensor.
     """
-    if last is not None and detections.time < last:
-        raise InputError(
-            "detections out of order",
-            field="time",
-            expected=f">= {last:g}",
-            got=detections.time,
-        )
     dt = 0.0 if last is None else detections.time - last
     pose, mounted = detections.sensor_pose, site.sensor(detections.sensor)
-    region = View.of(site, pose if mounted is None else mounted.carrier_of(pose))
+    region = View.of(site, carrier)
     sensor = model.sensor_named(detections.sensor)
     detection = detection_in(model, site, detections.sensor)
     scored = _read(model, sensor, detections, scene)

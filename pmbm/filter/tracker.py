@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
 from pmbm import kernels
-from pmbm.errors import InputError
+from pmbm.errors import InputError, InputWarning
 from pmbm.filter import compiled
 from pmbm.filter.advanced import Advanced
 from pmbm.filter.association import associate
+from pmbm.filter.blindness import Blindness, log_chance_of_none
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
 from pmbm.filter.estimation import Marginals, in_view, marginals, reported_in
@@ -26,6 +28,7 @@ from pmbm.filter.models.sensor import ObservationModel
 from pmbm.filter.models.view import View
 from pmbm.filter.prediction import predict
 from pmbm.filter.reduction import ReductionStats, reduce, with_more_undetected
+from pmbm.filter.registration import Registration
 from pmbm.filter.update import update
 from pmbm.types import Detections, FloatArray, Site, Tracks, unchecked
 
@@ -41,6 +44,7 @@ class State:
     ids : which tracks may take over whose id.
     before : the scene before `time`, and the s since the time before it: a further delivery of the
         same time counts in place of those before it, not on top of them.
+    blindness, registration : of several sensors, which have gone blind, and whose mounts are off.
     """
 
     time: float
@@ -49,6 +53,8 @@ class State:
     scene: SceneDensity
     ids: IdInheritance
     before: tuple[SceneDensity, float] = (SceneDensity(), 0.0)
+    blindness: Mapping[str, Blindness] = field(default_factory=dict)
+    registration: Registration | None = None
 
     def __repr__(self) -> str:
         return f"State({self.time:g} s: {self.density})"
@@ -90,20 +96,42 @@ def step(
 ) -> tuple[State, Tracks, Trace]:
     """The state and the report after one frame, empty or not.
 
-    Raises InputError where time runs backwards.
+    Raises InputError where time runs backwards, or where the site has no such sensor.
     """
-    return _after(model, site, state, _next_frame(model, site, state, detections))
+    frame, state = _next_frame(model, site, state, detections)
+    return _after(model, site, state, frame)
 
 
-def _next_frame(model: PMBMConfig, site: Site, state: State, detections: Detections) -> Frame:
-    return form_frame(
+def _next_frame(
+    model: PMBMConfig, site: Site, state: State, detections: Detections
+) -> tuple[Frame, State]:
+    """The frame of these detections, and the state with what they say of several sensors."""
+    if state.started and detections.time < state.time:
+        raise InputError(
+            "detections out of order",
+            field="time",
+            expected=f">= {state.time:g}",
+            got=detections.time,
+        )
+    carrier = site.carrier_pose(detections)
+    several = len(site.sensors) > 1
+    if several:
+        registration = state.registration or Registration.initial(model, site)
+        registration, detections = registration.after(model, site, detections, carrier)
+        state = replace(state, registration=registration)
+    frame = form_frame(
         model,
         site,
         detections,
+        carrier=carrier,
         last=state.time if state.started else None,
         births_memory=state.births,
         scene=state.before[0] if detections.time == state.time else state.scene,
     )
+    if several:
+        frame, blindness = _seeing(model, site, state, frame, detections)
+        state = replace(state, blindness=blindness)
+    return frame, state
 
 
 def _after(
@@ -114,7 +142,27 @@ def _after(
     else:
         advanced = compiled.advance(kernels.native, model, site, state.density, frame)
     after, tracks = report(model, state, frame, advanced)
+    if state.registration is not None:
+        registration = replace(state.registration, tracks=tracks)
+        after = replace(after, blindness=state.blindness, registration=registration)
     return after, tracks, Trace(state.density, frame, advanced.removed, advanced.seconds)
+
+
+def _seeing(
+    model: PMBMConfig, site: Site, state: State, frame: Frame, detections: Detections
+) -> tuple[Frame, Mapping[str, Blindness]]:
+    """The frame as a sensor made it that may have gone blind, and which sensors are."""
+    name = detections.sensor
+    one = state.blindness.get(name, Blindness(frame.time))
+    if len(detections) or not frame.sensor.may_fail:
+        one = one.after_detections(frame.time)
+    else:
+        predicted, _ = predicted_in(model, state.density, frame)
+        P_D, _, _ = observe(model, site, frame, predicted).of_tracks(predicted.local)
+        one = one.after_none(frame.time, log_chance_of_none(predicted, P_D))
+    if one.blind:
+        frame = frame.blinded()
+    return frame, {**state.blindness, name: one}
 
 
 def advance(model: PMBMConfig, site: Site, density: Density, frame: Frame) -> Advanced:
@@ -232,6 +280,7 @@ class PMBMTracker:
             self.site.sensor(name)
         self.state = State.initial(self.config)
         self.trace: Trace | None = None
+        self._warned: set[str] = set()
 
     @classmethod
     def with_map(cls, site: Site | None = None) -> PMBMTracker:
@@ -265,13 +314,25 @@ class PMBMTracker:
 
         Frames come in order of time; two of one time are two looks at the same moment.
 
-        Raises InputError, the tracker unchanged, where time runs backwards.
+        Raises InputError, the tracker unchanged, where time runs backwards.  Warns (InputWarning),
+        once, of a sensor that is taken for blind and of two whose mounts do not fit.
         """
-        frame = _next_frame(self.config, self.site, self.state, detections)
+        frame, state = _next_frame(self.config, self.site, self.state, detections)
         # The density that the last trace keeps is done with: of many objects a third one is much.
         self.trace = None
-        self.state, tracks, self.trace = _after(self.config, self.site, self.state, frame)
+        self.state, tracks, self.trace = _after(self.config, self.site, state, frame)
+        if self.state.registration is not None:
+            self._warn_of_sensors(self.state.registration)
         return tracks
+
+    def _warn_of_sensors(self, registration: Registration) -> None:
+        blindness = self.state.blindness
+        found = {name: one.told(name) for name, one in blindness.items() if one.lasts}
+        if registration.misfit is not None:
+            found["mounts"] = registration.told(self.site)
+        for what in found.keys() - self._warned:
+            self._warned.add(what)
+            warnings.warn(InputWarning(f"at {self.state.time:g} s {found[what]}"), stacklevel=3)
 
     def inspect(self) -> Inspection:
         """Every track's hypotheses with weights and, where `config.report.history` says to keep

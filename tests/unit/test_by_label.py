@@ -1,12 +1,15 @@
 """A tracker of its own for every label."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from pmbm import PMBMTracker
 from pmbm.baselines import ArgoverseConfig, ArgoverseTracker
 from pmbm.errors import InputError
 from pmbm.tracking import ByLabel, Tracker
-from pmbm.types import Detections, Label, Site, Tracks
+from pmbm.types import Detections, Label, MountedSensor, Site, Tracks
 
 
 def frame(k, rows):
@@ -76,3 +79,32 @@ def test_time_runs_forwards():
     tracker.step(frame(1, []))
     with pytest.raises(InputError, match="older"):
         tracker.step(frame(0, []))
+
+
+def of_sensor(name, one):
+    return replace(one, sensor=name)
+
+
+def test_boxes_of_a_sensor_without_classes_go_to_the_nearest_track_of_all():
+    """A lidar tells a car from a pedestrian 7 m farther on; a radar that tells nothing is all that
+    sees them from then on, and a third thing, which begins no track."""
+    site = Site(sensors=(MountedSensor(name="lidar"), MountedSensor(name="radar")))
+    tracker = ByLabel({Label.CAR: PMBMTracker, Label.PEDESTRIAN: PMBMTracker}, site)
+    both = [(10.0, Label.CAR), (17.0, Label.PEDESTRIAN)]
+    for k in range(5):
+        known = tracker.step(of_sensor("lidar", frame(k, both)))
+    seen = [(10.2, Label.OTHER), (16.9, Label.OTHER), (40.0, Label.OTHER)]
+    for k in range(5, 25):
+        tracks = tracker.step(of_sensor("radar", frame(k, seen)))
+    assert tracks.id.tolist() == known.id.tolist() == [0, 1]
+    np.testing.assert_allclose(tracks.position[:, 0], [10.2, 16.9], atol=0.1)
+    assert tracks.score.min() > 0.9
+
+
+def test_other_classes_of_one_sensor_stay_nobodys():
+    tracker = ByLabel({Label.CAR: quick})
+    for k in range(3):
+        tracker.step(frame(k, [(10.0, Label.CAR)]))
+    for k in range(3, 30):
+        tracks = tracker.step(frame(k, [(10.2, Label.OTHER)]))
+    assert len(tracks) == 0

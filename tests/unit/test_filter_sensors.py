@@ -25,7 +25,7 @@ from pmbm.filter import (
 )
 from pmbm.filter.density import BEFORE, MISSED, Mixture
 from pmbm.filter.hypotheses.radar_pairs import updated_pairs
-from pmbm.filter.models.radar import RadarScan, log_clutter_velocity, world_covariance
+from pmbm.filter.models.radar import RadarScan, log_clutter_velocity, position_covariance
 from pmbm.filter.models.view import View
 from pmbm.types import MountedSensor
 
@@ -406,7 +406,7 @@ def test_the_covariance_of_a_radar_lies_along_its_line_of_sight():
     """Against samples of range and azimuth."""
     sensor = Sensor(range_sd=0.2, azimuth_sd=0.01)
     frame = detections(0.0, [[30.0, 40.0]], pose=(0.0, 0.0, 1.0))
-    (R,) = world_covariance(sensor, frame)
+    (R,) = position_covariance(sensor, frame)
     rng = np.random.default_rng(0)
     r, a = 50 + rng.normal(0, 0.2, 200_000), np.arctan2(40, 30) + rng.normal(0, 0.01, 200_000)
     sampled = np.cov(r * np.cos(a), r * np.sin(a))

@@ -119,6 +119,7 @@ def check_steps(config, recording, steps):
             config,
             site,
             detections,
+            carrier=site.carrier_pose(detections),
             last=state.time if state.started else None,
             births_memory=state.births,
             scene=state.scene,

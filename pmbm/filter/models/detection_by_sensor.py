@@ -18,19 +18,23 @@ class DetectionBySensor:
     failing radar no longer finds, is as detectable as before to the other.
 
     models : of each sensor.  looking : which of them the frame is of.
+    blind : whether that sees nothing in this frame.
     """
 
     models: tuple[Detection, ...]
     looking: int
+    blind: bool = False
 
     @property
     def _own(self) -> Detection:
         return self.models[self.looking]
 
     def of_undetected(self) -> float:
-        return self._own.of_undetected()
+        return 0.0 if self.blind else self._own.of_undetected()
 
     def of_tracks(self, marks: Marks) -> FloatArray:
+        if self.blind:
+            return np.zeros(len(marks))
         return self._own.of_tracks(self._of(marks, self.looking))
 
     def confidence(self, detections: Detections) -> FloatArray:

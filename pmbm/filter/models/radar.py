@@ -36,11 +36,7 @@ class RadarScan:
         radial = None if sensor.radial_velocity_sd is None else detections.radial_velocity
         if not polar and radial is None:
             return None
-        R = (
-            world_covariance(sensor, detections)
-            if polar
-            else np.broadcast_to(sensor.R, (len(detections), 2, 2))
-        )
+        R = position_covariance(sensor, detections)
         sight, distance = _line_of_sight(detections)
         if radial is None:
             return RadarScan(R, sight, None, np.zeros(len(detections)))
@@ -54,15 +50,15 @@ class RadarScan:
         return RadarScan(R, sight, radial + along, variance)
 
 
-def world_covariance(sensor: Sensor, detections: Detections) -> FloatArray:
-    """(M,2,2) covariances of positions that were measured as range and azimuth, m^2.
+def position_covariance(sensor: Sensor, detections: Detections) -> FloatArray:
+    """(M,2,2) covariances of measured positions in the world, m^2.
 
-    Turned into the world along the measured line of sight, not that to where an object is expected:
-    so a measurement has one covariance, whatever is known before it, and the order of two sensors'
-    deliveries of one time makes no difference.
+    Those of range and azimuth are turned into the world along the measured line of sight, not that
+    to where an object is expected: so a measurement has one covariance, whatever is known before
+    it, and the order of two sensors' deliveries of one time makes no difference.
     """
-    assert sensor.range_sd is not None
-    assert sensor.azimuth_sd is not None
+    if sensor.range_sd is None or sensor.azimuth_sd is None:
+        return np.broadcast_to(sensor.R, (len(detections), 2, 2))
     along, distance = _line_of_sight(detections)
     across = _left_of(along)
     wide = (distance * sensor.azimuth_sd) ** 2 + sensor.range_sd**2 * 1e-12

@@ -47,6 +47,10 @@ class Sensor:
         that another sensor gave it.
     gate, scores : of this sensor among several, where they are not those of `Reduction` and of the
         whole model.
+    align : whether its mount, of one of several, may be off, so that its deliveries are moved back
+        where it proves not to fit the others; if not, it is where the site has it.
+    may_fail : whether one of several sensors that detects none of many tracks in a delivery without
+        any detection is taken for blind, until it detects something again.
     """
 
     position_sd: Annotated[float, POSITIVE] = 0.5
@@ -62,6 +66,8 @@ class Sensor:
     describes: bool = True
     gate: Annotated[float | None, POSITIVE] = None
     scores: Annotated[Scores | None, SCORES] = None
+    align: bool = True
+    may_fail: bool = True
 
     def __post_init__(self) -> None:
         check_fields(self, "sensor")
@@ -77,6 +83,13 @@ class Sensor:
     def R(self) -> FloatArray:
         """(2,2) covariance of a measured position, m^2."""
         return self.position_sd**2 * np.eye(2)
+
+    def noise_at(self, distance: FloatArray) -> FloatArray:
+        """Standard deviation of positions measured at these distances, m, in the worse
+        direction."""
+        if self.range_sd is None or self.azimuth_sd is None:
+            return np.full(np.shape(distance), self.position_sd)
+        return np.maximum(self.range_sd, self.azimuth_sd * distance)
 
     def over(
         self,
