@@ -321,10 +321,10 @@ FILTER_PLANTS = [
     _filter(
         "state changed before time is checked",
         "tracker",
-        "        frame = _next_frame(self.config, self.site, self.state, ",
+        "        frame, state = _next_frame(self.config, self.site, self.state, ",
         "        before = self.state\n"
         "        self.state = replace(before, time=detections.time)\n"
-        "        frame = _next_frame(self.config, self.site, before, ",
+        "        frame, state = _next_frame(self.config, self.site, before, ",
         by="tests/unit/test_filter_tracker.py::test_bad_time_is_refused_and_leaves_the_tracker_as_it_was",
     ),
     _filter(
