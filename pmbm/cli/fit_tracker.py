@@ -154,7 +154,9 @@ def fits_of(
 
     Raises InputError for a tracker of which nothing is fitted.
     """
+    from pmbm.cli import warn
     from pmbm.cli.fit_baseline import BaselineFits
+    from pmbm.cli.track import preset
     from pmbm.errors import InputError
     from pmbm.fitting.baselines import FITTED
 
@@ -166,6 +168,11 @@ def fits_of(
         )
     given = parameters(dataset, tracker, config)
     if tracker == OURS:
+        if folds and not others and config is None and preset(dataset.name, OURS, ANY):
+            warn(
+                f"the fit starts from what ships, which has seen the sequences of {dataset.name} "
+                "that are public: of these, left out is honest with --beside alone"
+            )
         return Study.of(dataset, names, given, others, labelled=True)
     return BaselineFits.of(dataset, names, tracker, given, folds)
 

@@ -82,7 +82,10 @@ def reported(root, name="0003"):
 
 def test_the_preset_is_one_to_track_with(folder, capsys):
     assert fit(folder, "--sequences", "0000", "0001", "0002", "--folds", "3") == 0
-    said = capsys.readouterr().out
+    told = capsys.readouterr()
+    said = told.out
+    # What ships has seen KITTI's own sequences, and these may be some.
+    assert "--beside" in told.err
     made = tomllib.loads((folder / "mine.toml").read_text())
     assert made["Car"]["scores"]["kind"] == "record"
     assert len(made["detector"]["Car"]["scores"]) == 5
@@ -196,3 +199,18 @@ def test_levels_cannot_be_put_on_another_scale(folder, capsys):
     config.write_text('[scores]\nkind = "ignore"\n')
     assert fit(folder, "--unlabelled", "--config", config) == 2
     assert "only a score record" in capsys.readouterr().err
+
+
+def test_a_fit_is_held_to_detectors_beside(folder, capsys):
+    """Without labels of one's own, what is known is theirs: a detector's preset is the same
+    whether its labels are read or those of its double."""
+    beside = ("--beside", folder / "dets_{class}")
+    assert fit(folder, *beside, "--unlabelled", "--folds", "2", out="held.toml") == 0
+    told = capsys.readouterr()
+    assert "| Car" in told.out
+    assert "--beside" not in told.err
+    assert fit(folder, *beside, "--folds", "0", out="own.toml") == 0
+    held, own = (tomllib.loads((folder / f"{name}.toml").read_text()) for name in ("held", "own"))
+    assert held["Car"]["scores"]["middle"] == own["Car"]["scores"]["middle"]
+    for name, value in held["Car"]["scores"]["online"].items():
+        assert own["Car"]["scores"]["online"][name] == pytest.approx(value, abs=1.0), name
