@@ -31,7 +31,7 @@ def chained(P_D, **chain):
     return DetectionChain(base=FixedDetection(probability=P_D), **chain)
 
 
-def frame(when, xy, raw=None, label=Label.CAR, score=0.5):
+def frame(when, xy, raw=None, label=Label.CAR, score=0.5, **more):
     xy = np.reshape(np.asarray(xy, float), (-1, 2))
     n = len(xy)
     return Detections(
@@ -42,6 +42,20 @@ def frame(when, xy, raw=None, label=Label.CAR, score=0.5):
         score=np.broadcast_to(score, n).copy(),
         raw_score=None if raw is None else np.broadcast_to(raw, n).astype(float),
         label=np.broadcast_to(label, n).astype(int),
+        **more,
+    )
+
+
+def delivery(when, places, sensor="", pose=(0.0, 0.0, 0.0), radial=None, velocity=None):
+    """Boxes of a sensor of that name at that pose."""
+    return frame(
+        when,
+        places,
+        score=0.9,
+        sensor=sensor,
+        sensor_pose=np.asarray(pose, float),
+        radial_velocity=radial,
+        sensor_velocity=velocity,
     )
 
 

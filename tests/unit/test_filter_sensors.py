@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from filter_problems import KEEP_ALL
 from filterpy.kalman import KalmanFilter
+from mark_builders import delivery
 from scipy.stats import multivariate_normal
 
 from pmbm import Detections, InputError, PMBMConfig, PMBMTracker, Site
@@ -31,23 +32,6 @@ from pmbm.types import MountedSensor
 
 TINY = Path(__file__).parents[1] / "oracle" / "filter" / "tiny_exact.npz"
 REACH = 300.0
-
-
-def detections(time, places, sensor="", pose=(0.0, 0.0, 0.0), radial=None, velocity=None):
-    places = np.asarray(places, float).reshape(-1, 2)
-    n = len(places)
-    return Detections(
-        time=time,
-        position=np.column_stack([places, np.ones(n)]),
-        size=np.tile([4.0, 2.0, 1.5], (n, 1)),
-        yaw=np.zeros(n),
-        score=np.full(n, 0.9),
-        label=np.zeros(n, np.int8),
-        sensor_pose=np.asarray(pose, float),
-        sensor=sensor,
-        radial_velocity=radial,
-        sensor_velocity=velocity,
-    )
 
 
 def exact(sensors, **changes):
@@ -138,7 +122,7 @@ def in_both_orders(other, seed):
     pose = {one.name: one.pose_on(np.zeros(3)) for one in mounted}
     frames = [
         {
-            name: detections(
+            name: delivery(
                 0.5 * k,
                 np.array([[20.0 + 2 * k, 5.0], [24.0, -3.0 + k]])[: 2 - k]
                 + rng.normal(0, 0.5, (2 - k, 2)),
@@ -278,11 +262,11 @@ def test_two_half_blind_sensors_equal_one_that_sees_all():
     whole, parts = State.initial(config), State.initial(config)
     for k, (left, right) in enumerate(scans):
         whole, _, _ = step(
-            config, whole_site, whole, detections(float(k), np.concatenate([left, right]))
+            config, whole_site, whole, delivery(float(k), np.concatenate([left, right]))
         )
         for one, z in zip(halves, (left, right), strict=True):
             parts, _, _ = step(
-                config, site, parts, detections(float(k), z, one.name, one.pose_on(np.zeros(3)))
+                config, site, parts, delivery(float(k), z, one.name, one.pose_on(np.zeros(3)))
             )
     # The reference lists 87 explanations of each half.
     assert len(parts.density.hypotheses) == len(whole.density.hypotheses) == 87**2
@@ -326,7 +310,7 @@ def crossing_pair(seed=3, frames=30):
             places.append((15 - 6 * time, -4.0))
         seen = [np.add(p, rng.normal(0, 0.3, 2)) for p in places if rng.random() < 0.9]
         seen += list(rng.uniform(-60, 60, (rng.poisson(2), 2)))
-        yield detections(time, seen)
+        yield delivery(time, seen)
 
 
 @pytest.mark.parametrize("native", [True, False])
@@ -397,7 +381,7 @@ def test_an_object_that_one_sensor_alone_can_see_is_found_at_once(birth):
     both = {}
     for name, site in (("narrow", Site(sensors=(narrow,))), ("", Site())):
         one = PMBMTracker(config, site)
-        found = [len(one.step(detections(0.1 * k, [[40.0 + k, 1.0]], name))) for k in range(6)]
+        found = [len(one.step(delivery(0.1 * k, [[40.0 + k, 1.0]], name))) for k in range(6)]
         both[name] = found.index(1)
     assert both["narrow"] <= both[""]
 
@@ -405,7 +389,7 @@ def test_an_object_that_one_sensor_alone_can_see_is_found_at_once(birth):
 def test_the_covariance_of_a_radar_lies_along_its_line_of_sight():
     """Against samples of range and azimuth."""
     sensor = Sensor(range_sd=0.2, azimuth_sd=0.01)
-    frame = detections(0.0, [[30.0, 40.0]], pose=(0.0, 0.0, 1.0))
+    frame = delivery(0.0, [[30.0, 40.0]], pose=(0.0, 0.0, 1.0))
     (R,) = position_covariance(sensor, frame)
     rng = np.random.default_rng(0)
     r, a = 50 + rng.normal(0, 0.2, 200_000), np.arctan2(40, 30) + rng.normal(0, 0.01, 200_000)
@@ -420,7 +404,7 @@ def test_position_and_radial_velocity_are_one_measurement_of_three_components():
     velocity, place = np.array([9.0, -1.0]), np.array([1.0, 2.0])
     z, radial = np.array([20.3, 11.8]), -7.0
     sensor = Sensor(range_sd=0.2, azimuth_sd=0.01, radial_velocity_sd=0.15)
-    frame = detections(0.0, [z], pose=(*place, 0.3), radial=np.array([radial]), velocity=velocity)
+    frame = delivery(0.0, [z], pose=(*place, 0.3), radial=np.array([radial]), velocity=velocity)
     radar = RadarScan.of(sensor, frame)
     pairs = updated_pairs(mean[None], cov[None], np.zeros(1), z[None], radar, 100.0)
 
@@ -455,7 +439,7 @@ def test_a_radial_velocity_is_as_sure_as_the_radar_says():
         [np.cos(found := bearing + rng.normal(0, 0.03, n)), np.sin(found)], axis=1
     )
     radial = -true_sight @ velocity + rng.normal(0, 0.1, n)
-    radar = RadarScan.of(sensor, detections(0.0, place, radial=radial, velocity=velocity))
+    radar = RadarScan.of(sensor, delivery(0.0, place, radial=radial, velocity=velocity))
     normalised = radar.radial_speed / np.sqrt(radar.radial_variance)
     assert normalised.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * n))
 
@@ -478,8 +462,8 @@ def test_a_radar_leaves_box_and_label_to_others():
     site = Site(sensors=(MountedSensor(name="lidar"), MountedSensor(name="radar")))
     one = PMBMTracker(PMBMConfig(sensors={"radar": replace(RADAR, clutter_rate=1.0)}), site)
     for k in range(5):
-        one.step(detections(0.1 * k, [[20.0, 0.0]], "lidar"))
-        seen = detections(0.1 * k, [[20.0, 0.0]], "radar")
+        one.step(delivery(0.1 * k, [[20.0, 0.0]], "lidar"))
+        seen = delivery(0.1 * k, [[20.0, 0.0]], "radar")
         tracks = one.step(
             replace(seen, label=np.full(1, 6, np.int8), size=np.full((1, 3), 9.0), yaw=np.ones(1))
         )
@@ -496,7 +480,7 @@ def test_scores_of_a_sensor_are_read_by_its_own_model():
     for config in (deaf, same_words):
         one = PMBMTracker(config, site)
         for k in range(3):
-            frame = detections(0.1 * k, [[20.0, 0.0]], "b")
+            frame = delivery(0.1 * k, [[20.0, 0.0]], "b")
             one.step(replace(frame, score=np.full(1, 0.05)))
         found.append(one.inspect().object)
     assert found[0][0] > found[1][0]

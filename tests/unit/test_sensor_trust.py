@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mark_builders import delivery
 
-from pmbm import Detections, PMBMConfig, PMBMTracker, Site
+from pmbm import PMBMConfig, PMBMTracker, Site
 from pmbm.errors import InputWarning
 from pmbm.filter import FixedDetection, Sensor
 from pmbm.filter.blindness import Blindness, log_chance_of_none
@@ -22,21 +23,6 @@ LIDAR = MountedSensor(name="lidar", mount=np.array([1.0, 0.0, 0.0]), max_range=8
 RADAR = MountedSensor(name="radar", mount=np.array([3.0, 0.5, 0.1]), max_range=80.0)
 SITE = Site(max_range=80.0, sensors=(LIDAR, RADAR))
 TRUSTING = Sensor(align=False, may_fail=False)
-
-
-def boxes(time, places, sensor="", pose=(0.0, 0.0, 0.0)):
-    places = np.asarray(places, float).reshape(-1, 2)
-    n = len(places)
-    return Detections(
-        time=time,
-        position=np.column_stack([places, np.ones(n)]),
-        size=np.tile([4.0, 2.0, 1.5], (n, 1)),
-        yaw=np.zeros(n),
-        score=np.full(n, 0.9),
-        label=np.zeros(n, np.int8),
-        sensor_pose=np.asarray(pose, float),
-        sensor=sensor,
-    )
 
 
 def seen_from(pose, places):
@@ -65,10 +51,10 @@ def drive(truly=RADAR, frames=30, seed=0, objects=6):
         if k % 2:
             local = seen_from(truly.pose_on(carrier), places) + rng.normal(0, 0.3, places.shape)
             believed = RADAR.pose_on(carrier)
-            yield boxes(time, put_at(believed, local), "radar", believed)
+            yield delivery(time, put_at(believed, local), "radar", believed)
         else:
             pose = LIDAR.pose_on(carrier)
-            yield boxes(time, places + rng.normal(0, 0.3, places.shape), "lidar", pose)
+            yield delivery(time, places + rng.normal(0, 0.3, places.shape), "lidar", pose)
 
 
 ELSEWHERE = replace(RADAR, mount=RADAR.mount + np.array([-0.4, -1.0, np.deg2rad(-2.0)]))
@@ -124,7 +110,7 @@ def test_of_three_the_one_that_fits_neither_is_moved():
         if one.sensor == "lidar":
             place = one.position[:, :2] + rng.normal(0, 0.3, (len(one), 2))
             pose = rear.pose_on(LIDAR.carrier_of(one.sensor_pose))
-            tracker.step(boxes(one.time + 0.02, place, "rear", pose))
+            tracker.step(delivery(one.time + 0.02, place, "rear", pose))
     size = np.abs(tracker.state.registration.error[:, 1])
     assert size[1] > 1.5 * max(size[0], size[2])
 
@@ -138,12 +124,12 @@ def test_moving_back_undoes_what_a_wrong_mount_does():
         places = rng.uniform(-50, 50, (4, 2))
         believed = RADAR.pose_on(carrier)
         given = put_at(believed, seen_from(truly.pose_on(carrier), places))
-        back = Look(boxes(0.0, given, "radar", believed), carrier).moved_back(error)
+        back = Look(delivery(0.0, given, "radar", believed), carrier).moved_back(error)
         np.testing.assert_allclose(back.position[:, :2], places, atol=1e-9)
         np.testing.assert_allclose(back.sensor_pose, truly.pose_on(carrier), atol=1e-9)
         # By how much each detection is off, to the first order.
         small = 1e-6 * error
-        look = Look(boxes(0.0, places, "radar", believed), carrier)
+        look = Look(delivery(0.0, places, "radar", believed), carrier)
         shift = np.einsum("xni,i->nx", look.shift(np.arange(4)), small)
         np.testing.assert_allclose(places - look.places(small), shift, atol=1e-9)
 
@@ -155,8 +141,8 @@ def test_sensors_that_are_as_they_are_said_to_be_are_taken_at_their_word(name):
     watched, trusting = (
         PMBMTracker(PMBMConfig(sensor=sensor), recording.site) for sensor in (Sensor(), TRUSTING)
     )
-    for delivery in recording.handed_over()[:120]:
-        one, two = (each.step(recording.detections[delivery]) for each in (watched, trusting))
+    for row in recording.handed_over()[:120]:
+        one, two = (each.step(recording.detections[row]) for each in (watched, trusting))
         np.testing.assert_array_equal(one.id, two.id)
         np.testing.assert_array_equal(one.position, two.position)
         np.testing.assert_array_equal(one.score, two.score)
@@ -169,9 +155,9 @@ def test_two_objects_of_which_each_sensor_sees_one_are_no_misfit():
     for k in range(60):
         time, (name, y) = 0.05 * k, (("lidar", 0.0), ("radar", 2.5))[k % 2]
         mounted = SITE.sensor(name)
-        tracker.step(boxes(time, [[20.0 + 5 * time, y]], name, mounted.pose_on(np.zeros(3))))
+        tracker.step(delivery(time, [[20.0 + 5 * time, y]], name, mounted.pose_on(np.zeros(3))))
     assert tracker.state.registration.misfit is None
-    assert len(tracker.step(boxes(3.0, [[35.0, 0.0]], "lidar", LIDAR.pose_on(np.zeros(3))))) == 2
+    assert len(tracker.step(delivery(3.0, [[35.0, 0.0]], "lidar", LIDAR.pose_on(np.zeros(3))))) == 2
 
 
 def test_one_sensor_alone_is_never_compared_nor_taken_for_blind():
@@ -248,7 +234,7 @@ def test_the_chance_of_no_detection_is_the_product_over_tracks():
     config = PMBMConfig(sensor=Sensor(detection=FixedDetection(probability=0.7)))
     tracker = PMBMTracker(config)
     for k in range(4):
-        tracker.step(boxes(0.1 * k, [[10.0, 0.0], [30.0, 5.0], [-20.0, 9.0]]))
+        tracker.step(delivery(0.1 * k, [[10.0, 0.0], [30.0, 5.0], [-20.0, 9.0]]))
     density = tracker.density
     P_D = np.full(len(density.local), 0.7)
     # Every global hypothesis of every cluster, independent between clusters.
