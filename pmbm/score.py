@@ -8,6 +8,7 @@ by logistic regression or by isotonic regression, and kept as TOML.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -20,7 +21,7 @@ from pmbm.arrays import FloatArray
 from pmbm.durable import replace_text
 from pmbm.errors import InputError, nearest_hint
 from pmbm.kernels import twin
-from pmbm.types import Detections, Label
+from pmbm.types import Detections, Label, Recording
 from pmbm.validation import Checker, equal_fields, hash_of_fields
 
 Scale = Literal["score", "raw_score"]
@@ -260,6 +261,17 @@ class Calibration:
             + self.slope[own] * detections.raw_score
             + self.per_metre[own] * detections.distance.clip(self.near, self.far)
         )
+
+
+def raw_scores(recordings: Iterable[Recording], label: Label) -> FloatArray:
+    """(N,) the raw scores of all detections of a label that have one."""
+    found = [
+        one.raw_score[one.label == label]
+        for recording in recordings
+        for one in recording.detections
+        if one.raw_score is not None
+    ]
+    return np.concatenate([np.zeros(0), *found])
 
 
 def logistic(x: FloatArray) -> FloatArray:

@@ -11,6 +11,11 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
 
 
+def four_digits(value: float) -> float:
+    """A value to the four significant digits that a file is given."""
+    return float(f"{value:.4g}")
+
+
 def duration(seconds: float) -> str:
     """A time as people say it: seconds, minutes, hours or days."""
     for size, unit in ((86400, "days"), (3600, "h"), (60, "min")):

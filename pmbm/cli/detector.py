@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from pmbm.cli import warn
+from pmbm.datasets import class_of_label
 from pmbm.errors import InputError
 from pmbm.filter.models.score_record import ScoreRecord
+from pmbm.score import raw_scores
 from pmbm.types import Label, Recording, Site
+from pmbm.wording import four_digits
 
 if TYPE_CHECKING:
     from pmbm.datasets import Dataset
@@ -47,17 +50,11 @@ class Detector:
     @staticmethod
     def of(recordings: Sequence[Recording], label: Label) -> Detector:
         """Of all detections of a label; no scores where there are none."""
-        found, frames = [np.zeros(0)], 0
-        for recording in recordings:
-            frames += len(recording.detections)
-            for one in recording.detections:
-                if one.raw_score is not None:
-                    found.append(one.raw_score[one.label == label])
-        scores = np.concatenate(found)
+        scores = raw_scores(recordings, label)
+        frames = sum(len(recording.detections) for recording in recordings)
         quantiles = np.quantile(scores, _QUANTILES).tolist() if len(scores) else []
         return Detector(
-            tuple(float(f"{one:.4g}") for one in quantiles),
-            float(f"{len(scores) / max(frames, 1):.4g}"),
+            tuple(map(four_digits, quantiles)), four_digits(len(scores) / max(frames, 1))
         )
 
     def table(self) -> dict[str, Any]:
@@ -102,7 +99,8 @@ def heed_detector(
         return
     recordings = [dataset.recording(name, truth=False) for name in sequences[:_LOOKED_AT]]
     seen = {}
-    for kind, label in zip(dataset.classes, map(Label, dataset.labels), strict=True):
+    kinds = class_of_label(dataset)
+    for label, kind in kinds.items():
         here = Detector.of(recordings, label)
         if here.boxes * sum(len(one.detections) for one in recordings) >= _ENOUGH:
             seen[kind] = here
@@ -114,7 +112,7 @@ def heed_detector(
     hint = "pmbm fit-tracker fits one to these; with --unlabelled, without labels"
     if fitting:
         hint = f"--config {fitting[0]} looks like these; {hint}"
-    labels = dict(zip(dataset.classes, map(Label, dataset.labels), strict=True))
+    labels = {kind: label for label, kind in kinds.items()}
     for kind, how in _differences(known, seen).items():
         if _hopeless(trackers[labels[kind]], seen[kind]):
             raise InputError(

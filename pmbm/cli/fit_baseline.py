@@ -9,7 +9,7 @@ import numpy as np
 
 from pmbm.cli.fitting import fitted_noise
 from pmbm.cli.left_out import Tables, compared_run, folds_of, matching_rule, trackers_of
-from pmbm.datasets import Dataset, with_origins
+from pmbm.datasets import Dataset, class_of_label, with_origins
 from pmbm.fitting.baselines import candidates, fewest_errors, report_thresholds
 from pmbm.metrics.benchmarks.operating_point import sweep
 from pmbm.types import FloatArray, IntArray, Label, Recording
@@ -55,7 +55,7 @@ class BaselineFits:
             recordings = {name: with_origins(one) for name, one in recordings.items()}
         scores = {
             kind: _scores(recordings.values(), label)
-            for kind, label in zip(dataset.classes, map(Label, dataset.labels), strict=True)
+            for label, kind in class_of_label(dataset).items()
         }
         fits = BaselineFits(
             tracker=tracker,
@@ -92,7 +92,7 @@ class BaselineFits:
         """Of each class, the variances that these sequences show, if the tracker has such."""
         if self.tracker != _HAS_NOISE:
             return {kind: {} for kind in self.dataset.classes}
-        kinds = dict(zip(map(Label, self.dataset.labels), self.dataset.classes, strict=True))
+        kinds = class_of_label(self.dataset)
         known = fitted_noise([self.recordings[name] for name in names], list(kinds))
         return {kind: {"noise": {label.name: known[label]}} for label, kind in kinds.items()}
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmbm.cli import dataset_options
+from pmbm.cli import dataset_options, options
 from pmbm.cli.dataset_options import FILE, FOLDER
 from pmbm.cli.many import ManyValues
 
@@ -18,21 +18,20 @@ if TYPE_CHECKING:
     from pmbm.cli.left_out import Fits, LeftOut, Tables
     from pmbm.datasets import Dataset
     from pmbm.filter.models.score_record import ScoreRecord
-    from pmbm.fitting.score_record import Scale, Told
+    from pmbm.fitting.score_record import ModeRows, Scale
     from pmbm.types import Label, Recording
 
 OURS = "pmbm"
+ANY = "any"
+"""The preset that is of no detector: what is known before one's own is fitted."""
 
 
 @click.command(cls=ManyValues)
-@dataset_options.dataset
-@dataset_options.root("The dataset's folder, with its labels.", kind=FOLDER)
-@dataset_options.detections(
-    "Detections with raw scores; {class} stands for the class's name where each class has its own."
+@dataset_options.detected(
+    "The dataset's folder, with its labels.",
+    "Detections with raw scores; {class} stands for the class's name where each class has its own.",
+    kind=FOLDER,
 )
-@dataset_options.poses
-@dataset_options.classes
-@dataset_options.sequences
 @click.option(
     "--tracker",
     "tracker_name",
@@ -63,7 +62,7 @@ OURS = "pmbm"
     help="Into how many parts the sequences are divided, each tracked by a fit to the others; 0, "
     "what the fit is worth is not told.",
 )
-@click.option("--mode", type=click.Choice(["online", "batch"]), default="online", show_default=True)
+@options.mode
 @click.option("--out", type=FILE, required=True, metavar="FILE.toml", help="The preset.")
 @click.option("--markdown", type=FILE, metavar="FILE.md", help="What was printed, as a page.")
 def command(
@@ -94,11 +93,10 @@ def command(
     """
     from pmbm.cli.detector import Detector
     from pmbm.cli.left_out import left_out
-    from pmbm.datasets import chosen_sequences, open_dataset
+    from pmbm.datasets import chosen_sequences, class_of_label, open_dataset
     from pmbm.durable import replace_text
     from pmbm.errors import InputError
     from pmbm.sim.toml_tables import toml_text
-    from pmbm.types import Label
 
     dataset, *others = (
         open_dataset(dataset_name, root=root, detections=one, poses=poses, classes=classes or None)
@@ -114,7 +112,9 @@ def command(
     names = chosen_sequences(dataset, sequences)
     study: Fits
     if unlabelled:
-        study = Study.of(dataset, names, parameters(dataset, OURS, config), others, labelled=False)
+        study = RecordFits.of(
+            dataset, names, parameters(dataset, OURS, config), others, labelled=False
+        )
     else:
         study = fits_of(dataset, names, tracker_name, config, folds, others)
     how = "scores' scale by" if unlabelled else "fitted by"
@@ -126,8 +126,8 @@ def command(
         f"{how}\n#   pmbm fit-tracker {dataset_name} {options}--sequences {' '.join(names)}\n"
     )
     told = {
-        kind: Detector.of(list(study.recordings.values()), Label(label)).table()
-        for kind, label in zip(dataset.classes, dataset.labels, strict=True)
+        kind: Detector.of(list(study.recordings.values()), label).table()
+        for label, kind in class_of_label(dataset).items()
     }
     replace_text(out, note + toml_text({**factored(study.fitted(names)), "detector": told}))
     if folds and (beside or not unlabelled):
@@ -170,10 +170,10 @@ def fits_of(
     if tracker == OURS:
         if folds and not others and config is None and preset(dataset.name, OURS, ANY):
             warn(
-                f"the fit starts from what ships, which has seen the sequences of {dataset.name} "
-                "that are public: of these, left out is honest with --beside alone"
+                f"the fit starts from weights that ship, fitted to the public sequences of "
+                f"{dataset.name}: figures for these are honest with --beside only"
             )
-        return Study.of(dataset, names, given, others, labelled=True)
+        return RecordFits.of(dataset, names, given, others, labelled=True)
     return BaselineFits.of(dataset, names, tracker, given, folds)
 
 
@@ -181,26 +181,22 @@ def parameters(dataset: Dataset, tracker: str, config: Path | None) -> Tables:
     """Of each class what is not fitted: that of a file, of the PMBM tracker what ships for the
     dataset, of a baseline its own."""
     from pmbm.cli.track import class_trackers, preset
+    from pmbm.datasets import class_of_label
     from pmbm.study.configured import nested
-    from pmbm.types import Label
 
     shipped = None
     if tracker == OURS:
         shipped = preset(dataset.name, OURS, ANY) or preset(dataset.name, OURS)
     trackers = class_trackers(dataset, tracker, config or shipped)
     return {
-        kind: nested(dict(trackers[Label(label)].parameters))
-        for kind, label in zip(dataset.classes, dataset.labels, strict=True)
+        kind: nested(dict(trackers[label].parameters))
+        for label, kind in class_of_label(dataset).items()
     }
 
 
-ANY = "any"
-"""The preset that is of no detector: what is known before one's own is fitted."""
-
-
 @dataclass(frozen=True)
-class Study:
-    """Sequences to fit to, with what is worked out once.
+class RecordFits:
+    """The PMBM tracker and sequences to fit its score records to, with what is worked out once.
 
     found : of each class and sequence, the rows that the tracker may report; none without labels.
     beside : the same of other detectors.
@@ -210,8 +206,8 @@ class Study:
     recordings: Mapping[str, Recording]
     given: Tables
     scale: Scale
-    found: Mapping[tuple[str, str], Told]
-    beside: Sequence[Mapping[tuple[str, str], Told]] = ()
+    found: Mapping[tuple[str, str], ModeRows]
+    beside: Sequence[Mapping[tuple[str, str], ModeRows]] = ()
 
     @property
     def tracker(self) -> str:
@@ -225,11 +221,11 @@ class Study:
         others: Sequence[Dataset] = (),
         *,
         labelled: bool,
-    ) -> Study:
+    ) -> RecordFits:
         truth = labelled or bool(others)
         recordings = {name: dataset.recording(name, truth=truth) for name in names}
         scale, found = _found(dataset, recordings, given, labelled=labelled)
-        return Study(
+        return RecordFits(
             dataset,
             recordings,
             given,
@@ -248,12 +244,12 @@ class Study:
 
     def fitted(self, names: Sequence[str]) -> Tables:
         """Each class's parameters, fitted to these sequences."""
-        from pmbm.fitting.score_record import Told, fit_records
+        from pmbm.fitting.score_record import ModeRows, fit_records
 
         before = self.known_before(names)
         if self.found:
             whole = {
-                label: Told.joined([self.found[kind, name] for name in names])
+                label: ModeRows.joined([self.found[kind, name] for name in names])
                 for label, kind in self._kinds().items()
             }
             records = fit_records(whole, self.scale, before)
@@ -274,11 +270,11 @@ class Study:
 
         from pmbm.errors import InputError
         from pmbm.filter.models.score_record import ScoreRecord
-        from pmbm.fitting.score_record import Told, pooled_records
+        from pmbm.fitting.score_record import ModeRows, pooled_records
 
         if self.beside:
             parts = {
-                label: [Told.joined([one[kind, name] for name in names]) for one in self.beside]
+                label: [ModeRows.joined([one[kind, name] for name in names]) for one in self.beside]
                 for label, kind in self._kinds().items()
             }
             return pooled_records(parts, self.scale)
@@ -298,25 +294,25 @@ class Study:
         return found
 
     def _kinds(self) -> dict[Label, str]:
-        from pmbm.types import Label
+        from pmbm.datasets import class_of_label
 
-        return dict(zip(map(Label, self.dataset.labels), self.dataset.classes, strict=True))
+        return class_of_label(self.dataset)
 
 
 def _found(
     dataset: Dataset, recordings: Mapping[str, Recording], given: Tables, *, labelled: bool
-) -> tuple[Scale, dict[tuple[str, str], Told]]:
+) -> tuple[Scale, dict[tuple[str, str], ModeRows]]:
     """The scale of a detector's scores and, where there are labels, the rows of each class and
     sequence."""
+    from pmbm.datasets import class_of_label
     from pmbm.fitting.score_record import neutral_config, rows, score_scale
-    from pmbm.types import Label
 
-    labels = dict(zip(dataset.classes, map(Label, dataset.labels), strict=True))
-    configs = {label: _config(given[kind]) for kind, label in labels.items()}
+    kinds = class_of_label(dataset)
+    configs = {label: _config(given[kind]) for label, kind in kinds.items()}
     scale = score_scale(list(recordings.values()), configs)
     judge = getattr(dataset, "unjudged", None)
     found = {}
-    for kind, label in labels.items() if labelled else ():
+    for label, kind in kinds.items() if labelled else ():
         config = neutral_config(configs[label], label, scale)
         for name, recording in recordings.items():
             unjudged: Sequence[BoolArray] | None = None if judge is None else judge(name)
@@ -328,15 +324,17 @@ def as_table(record: ScoreRecord) -> dict[str, Any]:
     """As a file has it, to the digits that tell."""
     from dataclasses import asdict
 
+    from pmbm.wording import four_digits
+
     weights = {"online": record.online, "batch": record.batch or record.online}
     return {
         "kind": "record",
         "label": record.label,
         "memory": record.memory,
-        "middle": [_short(value) for value in record.middle.tolist()],
-        "spread": [_short(value) for value in record.spread.tolist()],
+        "middle": [four_digits(value) for value in record.middle.tolist()],
+        "spread": [four_digits(value) for value in record.spread.tolist()],
         **{
-            name: {key: _short(value) for key, value in asdict(one).items()}
+            name: {key: four_digits(value) for key, value in asdict(one).items()}
             for name, one in weights.items()
         },
     }
@@ -429,7 +427,3 @@ def _config(table: dict[str, Any]) -> Any:
 
     made: Any = ConfiguredTracker("pmbm", tuple(table.items()))(Site())
     return made.config
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.4g}")

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from pmbm.cli.dataset_scores import rule_of
 from pmbm.cli.track import tracked
-from pmbm.datasets import Dataset
+from pmbm.datasets import Dataset, class_of_label
 from pmbm.errors import InputError
 from pmbm.metrics import Evaluation
 from pmbm.metrics.benchmarks.operating_point import OperatingPoint, Sweep, operating_point, sweep
@@ -70,8 +70,8 @@ def fitted_to_others(fits: Fits, folds: int) -> Iterator[tuple[str, Trackers]]:
 def trackers_of(dataset: Dataset, tracker: str, tables: Tables) -> Trackers:
     """The tracker of each class with its parameters."""
     return {
-        Label(label): ConfiguredTracker(tracker, tuple(tables[kind].items()))
-        for kind, label in zip(dataset.classes, dataset.labels, strict=True)
+        label: ConfiguredTracker(tracker, tuple(tables[kind].items()))
+        for label, kind in class_of_label(dataset).items()
     }
 
 

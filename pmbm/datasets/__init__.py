@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol
 from pmbm.datasets.origins import with_origins
 from pmbm.errors import InputError, InputWarning, nearest_hint
 from pmbm.metrics.benchmarks.rules import ComparedSequence, ScoringRule
-from pmbm.types import Recording, TrackSequence
+from pmbm.types import Label, Recording, TrackSequence
 from pmbm.wording import counted
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "Dataset",
     "adapter",
     "chosen_sequences",
+    "class_of_label",
     "load",
     "open_dataset",
     "with_origins",
@@ -128,6 +129,11 @@ def open_dataset(name: str, **options: Any) -> Dataset:
         )
     dataset: Dataset = made(**given)
     return dataset
+
+
+def class_of_label(dataset: Dataset) -> dict[Label, str]:
+    """Label -> the dataset's name of it, of the classes asked for in their order."""
+    return dict(zip(map(Label, dataset.labels), dataset.classes, strict=True))
 
 
 def chosen_sequences(dataset: Dataset, names: Sequence[str] = ()) -> list[str]:

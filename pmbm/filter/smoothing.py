@@ -48,10 +48,10 @@ def smooth(
     inspections), it lives from the first to the last step of which that exceeds `keep_above`, and
     is kept where the mean over these, its score, does.
 
-     Positions and velocities are those of the Rauch-Tung-Striebel
-    smoother (AIAA Journal 3(8), 1965); size is the mean of the detections' and label the most
-    frequent one; height and heading are averaged over half a second about each step, boxes turned
-    by half a turn turned back, and vehicles turned to where they drive.
+    Positions and velocities are those of the Rauch-Tung-Striebel smoother (AIAA Journal 3(8),
+    1965); size is the mean of the detections' and label the most frequent one; height and heading
+    are averaged over half a second about each step, boxes turned by half a turn turned back, and
+    vehicles turned to where they drive.
 
     Parameters
     ----------
@@ -71,14 +71,14 @@ def smooth(
         raise InputError("steps out of order", field="time", got=times[1:][np.diff(times) < 0][0])
     if any(one.covariance is None for one in steps):
         raise InputError("smoothing needs the tracks' covariances", field="covariance")
-    told = _told(steps, inspections)
+    inspected = _inspected(steps, inspections)
     lives = []
     for number, rows in sorted(_rows_of_tracks(steps).items()):
-        found = _forward(_life(steps, told, number, rows, times), config)
+        found = _forward(_life(steps, inspected, number, rows, times), config)
         if found is None:
             continue
         life, forward = found
-        kept = _kept(life, config, told is not None)
+        kept = _kept(life, config, inspected is not None)
         if kept is not None:
             first, end, score = kept
             smoothed = _with_boxes(_backward(life, forward)).between(first, end)
@@ -143,13 +143,13 @@ def _rows_of_tracks(steps: Sequence[Tracks]) -> dict[int, list[tuple[int, int]]]
     return rows
 
 
-_Told = tuple[FloatArray, FloatArray, FloatArray]
-"""Of a step's K tracks existence (K,), record (K,R) and distance (K,)."""
+_Inspected = tuple[FloatArray, FloatArray, FloatArray]
+"""Of the inspection of a step's K tracks existence (K,), record (K,R) and distance (K,)."""
 
 
-def _told(
+def _inspected(
     steps: Sequence[Tracks], inspections: Sequence[Inspection] | None
-) -> Sequence[_Told] | None:
+) -> Sequence[_Inspected] | None:
     if inspections is None:
         return None
     if [one.time for one in inspections] != [one.time for one in steps]:
@@ -169,7 +169,7 @@ def _told(
 
 def _life(
     steps: Sequence[Tracks],
-    told: Sequence[_Told] | None,
+    inspected: Sequence[_Inspected] | None,
     track: int,
     where: list[tuple[int, int]],
     times: FloatArray,
@@ -185,8 +185,8 @@ def _life(
     labels: IntArray = np.array([s.label[r] for s, r in picked], np.int64)
     reported = np.isin(span, numbers)
     own = [(1.0, np.zeros(0), 0.0)] * len(where)
-    if told is not None:
-        own = [tuple(part[row] for part in told[number]) for number, row in where]
+    if inspected is not None:
+        own = [tuple(part[row] for part in inspected[number]) for number, row in where]
     existence, record, distance = (np.array(part)[last] for part in zip(*own, strict=True))
     return _Life(
         track,
@@ -251,10 +251,12 @@ def _backward(life: _Life, forward: _Forward) -> _Life:
     return replace(life, mean=mean, cov=symmetric(cov))
 
 
-def _kept(life: _Life, config: PMBMConfig, told: bool) -> tuple[int, int, float] | None:
+def _kept(life: _Life, config: PMBMConfig, inspected: bool) -> tuple[int, int, float] | None:
     """First and end of the steps of a life that count, and its score; None where it is not kept."""
     least, first, end, score = config.report.keep_above, 0, len(life.time), float(life.score[-1])
-    by_life = config.scores.share_by_life(life.record, life.distance, life.time) if told else None
+    by_life = (
+        config.scores.share_by_life(life.record, life.distance, life.time) if inspected else None
+    )
     if by_life is not None:
         there = np.flatnonzero(by_life > least)
         if not len(there):

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from pmbm.types import FloatArray, IntArray
+from pmbm.wording import four_digits
 
 FITTED: Final = ("argoverse", "waymo", "probabilistic_kf")
 """Trackers that have these parameters."""
@@ -24,7 +25,7 @@ _HITS_AND_AGE: Final = ((2, 12.0), (5, 4.0))
 def candidates(scores: FloatArray) -> list[dict[str, Any]]:
     """Parameters to track with, for detections of one class with these scores (N,)."""
     return [
-        {"min_score": _short(score), "min_hits": hits, "max_age": age}
+        {"min_score": four_digits(score), "min_hits": hits, "max_age": age}
         for score, (hits, age) in product(np.quantile(scores, _MIN_SCORE), _HITS_AND_AGE)
     ]
 
@@ -32,7 +33,7 @@ def candidates(scores: FloatArray) -> list[dict[str, Any]]:
 def report_thresholds(scores: FloatArray) -> FloatArray:
     """(T,) candidates for `report_above`, which changes no track: what it leaves out can be counted
     afterwards.  The first leaves out nothing."""
-    found = [_short(score) for score in np.quantile(scores, _REPORT)]
+    found = [four_digits(score) for score in np.quantile(scores, _REPORT)]
     return np.array([0.0, *found[1:]])
 
 
@@ -42,7 +43,3 @@ def fewest_errors(errors: IntArray) -> tuple[int, int]:
     total = errors.sum(axis=0)
     candidate, threshold = np.unravel_index(int(np.argmin(total)), total.shape)
     return int(candidate), int(threshold)
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.4g}")

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment, minimize
+from scipy.special import expit
 
 from pmbm.errors import InputError
 from pmbm.filter.config import PMBMConfig
@@ -26,6 +27,7 @@ from pmbm.filter.models.score_record import (
 )
 from pmbm.filter.tracker import PMBMTracker
 from pmbm.geometry import iou
+from pmbm.score import raw_scores
 from pmbm.types import BoolArray, FloatArray, IntArray, Label, Recording
 
 _OVERLAP: Final = 0.25
@@ -33,11 +35,11 @@ _OVERLAP: Final = 0.25
 _EXISTS: Final = 0.05
 """Existence of a source from which its rows are fitted to."""
 _RIDGE: Final = np.array([1e-3, 2.0, 2.0, 2.0, 2.0, 2.0, 20.0])
-"""How firmly weights are held to 0, in rows, where nothing is known before."""
+"""Precision of the weights' Gaussian prior about 0, where no record is known before."""
 _HELD: Final = np.array([5.0, 50.0, 50.0, 50.0, 50.0, 50.0, 50.0])
-"""How firmly they are held to what is known before."""
+"""Precision of their prior about a record known before."""
 _OFFSET: Final = 300.0
-"""How firmly the offsets of labels that are fitted together are held to each other, in rows."""
+"""Precision of the prior of what the offsets of labels that are fitted together differ by."""
 _TOGETHER: Final = (
     (Label.CAR, Label.TRUCK, Label.BUS),
     (Label.PEDESTRIAN, Label.CYCLIST, Label.MOTORCYCLIST),
@@ -78,15 +80,15 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """The rows of one label: while it goes on, and by whole lives."""
+class ModeRows:
+    """The rows of one label as the online mode reports them, and as the batch mode does."""
 
     online: Rows
     batch: Rows
 
     @staticmethod
-    def joined(parts: Sequence[Told]) -> Told:
-        return Told(
+    def joined(parts: Sequence[ModeRows]) -> ModeRows:
+        return ModeRows(
             Rows.joined([one.online for one in parts]), Rows.joined([one.batch for one in parts])
         )
 
@@ -97,16 +99,12 @@ def quantile_scale(recordings: Sequence[Recording], labels: Sequence[Label]) -> 
 
     Raises InputError for detections without raw scores.
     """
+    for recording in recordings:
+        if any(len(one) and one.raw_score is None for one in recording.detections):
+            raise InputError("score records are fitted to raw scores", field="raw_score")
     middle, spread = np.zeros((2, len(Label)))
     for label in labels:
-        found = [np.zeros(0)]
-        for recording in recordings:
-            for detections in recording.detections:
-                if detections.raw_score is not None:
-                    found.append(detections.raw_score[detections.label == label])
-                elif len(detections):
-                    raise InputError("score records are fitted to raw scores", field="raw_score")
-        scores = np.concatenate(found)
+        scores = raw_scores(recordings, label)
         if len(scores):
             middle[label], high = np.quantile(scores, [_MIDDLE, _HIGH])
             spread[label] = high - middle[label]
@@ -125,7 +123,7 @@ def score_scale(recordings: Sequence[Recording], configs: Mapping[Label, PMBMCon
         if spread[label] <= 0:
             continue
         neutral = neutral_config(config, label, (middle, spread))
-        chance, lasting = _sorted_scores(recordings, label, neutral)
+        chance, lasting = _chance_and_lasting(recordings, label, neutral)
         if min(len(chance), len(lasting)) >= _ENOUGH:
             low, high = float(np.median(chance)), float(np.median(lasting))
             if high > low:
@@ -133,7 +131,7 @@ def score_scale(recordings: Sequence[Recording], configs: Mapping[Label, PMBMCon
     return found
 
 
-def _sorted_scores(
+def _chance_and_lasting(
     recordings: Sequence[Recording], label: Label, config: PMBMConfig
 ) -> tuple[FloatArray, FloatArray]:
     """Raw scores of detections of sources that are chance, and of those that last."""
@@ -160,7 +158,7 @@ def rows(
     label: Label,
     config: PMBMConfig,
     unjudged: Sequence[BoolArray] | None = None,
-) -> Told:
+) -> ModeRows:
     """The rows of one recording, which has truth.
 
     config : of the tracker, by which every source is an object (`neutral_config`).
@@ -184,7 +182,7 @@ def rows(
         )
         there = there[life]
         batch.append(Rows(told[there], np.ones(int(there.sum())), source.hit[life][there]))
-    return Told(Rows.joined(online), Rows.joined(batch))
+    return ModeRows(Rows.joined(online), Rows.joined(batch))
 
 
 _NO_ROWS: Final = Rows(np.zeros((0, len(WEIGHTS))), np.zeros(0), np.zeros(0, bool))
@@ -293,7 +291,7 @@ def _found(
 
 
 def fit_records(
-    found: Mapping[Label, Told],
+    found: Mapping[Label, ModeRows],
     scale: Scale,
     before: Mapping[Label, ScoreRecord] | None = None,
 ) -> dict[Label, ScoreRecord]:
@@ -337,7 +335,9 @@ def fit_records(
     return {label: records[label] for label in found}
 
 
-def pooled_records(found: Mapping[Label, Sequence[Told]], scale: Scale) -> dict[Label, ScoreRecord]:
+def pooled_records(
+    found: Mapping[Label, Sequence[ModeRows]], scale: Scale
+) -> dict[Label, ScoreRecord]:
     """The score record of every label that n detectors have in common, each on a scale of its own;
     every row counts 1/n."""
     records = {}
@@ -405,7 +405,7 @@ def _weights(values: FloatArray) -> RecordWeights:
 
 def _loss(part: Rows, weights: FloatArray) -> tuple[float, FloatArray]:
     """Negative log-likelihood of rows that are true with P(existence) P(object), and its slope."""
-    share = 1.0 / (1.0 + np.exp(-np.clip(part.features @ weights, -40.0, 40.0)))
+    share = expit(part.features @ weights)
     p = (part.existence * share).clip(1e-9, 1 - 1e-9)
     value = -float(np.where(part.true, np.log(p), np.log1p(-p)).sum())
     return value, part.features.T @ ((p - part.true) / (1 - p) * (1 - share))

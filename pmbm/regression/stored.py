@@ -14,6 +14,7 @@ from pmbm.errors import BaselineMismatch, InputError, nearest_hint
 from pmbm.metrics.catalogue import definition
 from pmbm.provenance import SCHEMA_VERSION, provenance
 from pmbm.study import estimate
+from pmbm.wording import four_digits
 
 if TYPE_CHECKING:
     from pmbm.regression.metric import GatedMetric
@@ -121,7 +122,7 @@ class StoredBaseline:
     def _summary(self, name: str) -> dict[str, Any]:
         found = estimate(self._shown(name), definition(self.metric).scale)
         ends = (found.mean, found.low, found.high)
-        mean, low, high = (None if end is None else float(f"{end:.4g}") for end in ends)
+        mean, low, high = (None if end is None else four_digits(end) for end in ends)
         trials = self.scenarios[name]
         summary = {"mean": mean, "interval": [low, high], "trials": len(trials)}
         return {**summary, "digest": _digest_of_trials(trials)}

@@ -18,6 +18,7 @@ from scipy.stats import qmc
 from pmbm.errors import InputError
 from pmbm.sim.scenario.scenario import Scenario
 from pmbm.types import FloatArray
+from pmbm.wording import four_digits
 
 _REFINED_SHARE: Final = 0.5
 _BISECTIONS: Final = 4
@@ -41,7 +42,7 @@ class Knob:
     def at(self, share: float) -> float | int:
         """The value at a share of the way from least to most."""
         value = self.least + share * (self.most - self.least)
-        return round(value) if self.whole else float(f"{value:.4g}")
+        return round(value) if self.whole else four_digits(value)
 
 
 FAULTS: Final = (

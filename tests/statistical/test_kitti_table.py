@@ -16,7 +16,7 @@ from pmbm.cli.track import at_cost, class_trackers, preset, shipped_detectors
 from pmbm.datasets import open_dataset
 from pmbm.filter.models.score_record import WEIGHTS
 from pmbm.fitting.baselines import FITTED
-from pmbm.fitting.score_record import Told
+from pmbm.fitting.score_record import ModeRows
 from pmbm.types import Site
 
 FOLDS = 8
@@ -138,7 +138,7 @@ def without(told, names):
         features[:, columns] = 0.0
         return replace(rows, features=features)
 
-    return Told(blank(told.online), blank(told.batch))
+    return ModeRows(blank(told.online), blank(told.batch))
 
 
 def losses(fits, mode):

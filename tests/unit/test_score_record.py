@@ -20,8 +20,8 @@ from pmbm.filter.models.score_record import (
     record_by_life,
 )
 from pmbm.fitting.score_record import (
+    ModeRows,
     Rows,
-    Told,
     fit_records,
     neutral_config,
     pooled_records,
@@ -153,7 +153,7 @@ def simulated(rng, weights, n=20_000):
     existence = rng.uniform(0.3, 1.0, n)
     share = 1 / (1 + np.exp(-x @ weights))
     online = Rows(x, existence, rng.random(n) < existence * share)
-    return Told(online, Rows(x, np.ones(n), rng.random(n) < share))
+    return ModeRows(online, Rows(x, np.ones(n), rng.random(n) < share))
 
 
 def values(one):
@@ -162,7 +162,7 @@ def values(one):
 
 def test_weights_are_found_again():
     rng = np.random.default_rng(0)
-    told = Told(simulated(rng, TRUE).online, simulated(rng, -TRUE).batch)
+    told = ModeRows(simulated(rng, TRUE).online, simulated(rng, -TRUE).batch)
     found = fit_records({Label.CAR: told}, (MIDDLE, SPREAD))[Label.CAR]
     assert values(found.online) == pytest.approx(TRUE, abs=0.1)
     assert values(found.batch) == pytest.approx(-TRUE, abs=0.1)
@@ -207,7 +207,7 @@ def test_rows_of_a_street_tell_its_cars_from_its_poles():
     made = [street(seed) for seed in range(4)]
     scale = score_scale(made, {Label.CAR: street_config()})
     config = neutral_config(street_config(), Label.CAR, scale)
-    found = Told.joined([rows(one, Label.CAR, config) for one in made[:3]])
+    found = ModeRows.joined([rows(one, Label.CAR, config) for one in made[:3]])
     fitted = fit_records({Label.CAR: found}, scale)[Label.CAR]
     one = PMBMTracker(replace(config, scores=fitted), made[3].site)
     for detections in made[3].detections:
@@ -241,7 +241,7 @@ def test_the_scale_is_told_by_what_lasts_without_labels():
 def test_nothing_true_is_nothing_to_fit_to():
     none = Rows(np.ones((3, len(WEIGHTS))), np.ones(3), np.zeros(3, bool))
     with pytest.raises(InputError, match="0 true of 3 rows"):
-        fit_records({Label.CAR: Told(none, none)}, (MIDDLE, SPREAD))
+        fit_records({Label.CAR: ModeRows(none, none)}, (MIDDLE, SPREAD))
 
 
 def compared():
