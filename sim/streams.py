@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal, special
+from scipy import special
 
 from pmbm.types import FloatArray, IntArray
 
@@ -119,9 +119,12 @@ class StreamMembers:
         if persistence > 0.0:
             fresh = np.sqrt(1.0 - persistence**2)
             for _, rows in self:
-                innovation = values[rows]
-                innovation[0] /= fresh
-                values[rows] = signal.lfilter([fresh], [1.0, -persistence], innovation, axis=0)
+                own = fresh * values[rows]
+                own[0] = fresh * (values[rows[0]] / fresh)
+                # Bit for bit scipy.signal.lfilter, which takes a second to import.
+                for row in range(1, len(own)):
+                    own[row] += persistence * own[row - 1]
+                values[rows] = own
         return values
 
 

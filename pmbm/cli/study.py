@@ -99,15 +99,18 @@ _NOT_OF_RULES = ("metric", "bounds", "candidate")
 
 
 def _finish(study: Study, file: Path, store: Path, done: Progress, export_file: Path | None) -> int:
-    from pmbm.study import export, load_results
+    from pmbm.study import export, load_results, read_store
 
     for index in done.damaged:
         click.echo(f"trial {index} was damaged in the store and was run again", err=True)
-    results = load_results(store)
-    _tell_failures(study, file, results.failures.to_dict("records"))
-    click.echo(f"{store}: {done.done} trials, {done.failed} failed, digest {results.digest}")
+    # Tables take a second to load: only where somebody looks at them.
+    contents = read_store(store)
+    if any(row.outcome != "ok" for row in contents.rows.values()):
+        _tell_failures(study, file, load_results(store).failures.to_dict("records"))
+    digest = None if contents.damaged else contents.digest()
+    click.echo(f"{store}: {done.done} trials, {done.failed} failed, digest {digest}")
     if export_file is not None:
-        export(results, export_file)
+        export(load_results(store), export_file)
     return 1 if done.failed else 0
 
 

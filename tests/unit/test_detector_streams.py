@@ -6,9 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from pmbm.sim.detector.model import load_profile
-from pmbm.sim.streams import Purpose, Streams
+from pmbm.sim.streams import Purpose, StreamMembers, Streams
 from pmbm.sim.world.scene import make_scene
 from pmbm.types import CLUTTER, Label, Site
 
@@ -188,6 +189,17 @@ def test_streams_are_told_apart_by_every_part_of_their_key():
     long = Streams(1).uniforms(Purpose.MISS, 9, 2, 4)
     np.testing.assert_array_equal(long[:3], Streams(1).uniforms(Purpose.MISS, 3, 2, 4))
     assert ((long > 0) & (long < 1)).all()
+
+
+@pytest.mark.parametrize("persistence", [0.3, 0.95])
+def test_errors_that_persist_are_scipys_filter_bit_for_bit(persistence):
+    members = StreamMembers(frame=np.arange(60), object_id=np.full(60, 4))
+    fresh = np.sqrt(1 - persistence**2)
+    innovation = members.normals(Streams(3), Purpose.SCORE, 2)
+    innovation[0] /= fresh
+    expected = signal.lfilter([fresh], [1.0, -persistence], innovation, axis=0)
+    found = members.normals(Streams(3), Purpose.SCORE, 2, persistence)
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_the_nulls_of_all_knobs_leave_the_perfect_detector():

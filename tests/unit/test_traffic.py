@@ -430,3 +430,23 @@ def test_more_copies_move_nobody_else():
     shared = np.isin(many.truth[0].id, few.truth[0].id)
     assert shared.sum() == 2
     assert np.array_equal(many.truth[0].position[shared], few.truth[0].position)
+
+
+def test_a_recording_loads_neither_tables_nor_pictures(tmp_path):
+    done = subprocess.run(
+        [
+            *(sys.executable, "-c"),
+            "import sys\n"
+            "from pmbm.sim.scenario.scenario import load_scenario\n"
+            "load_scenario('merge').record(0)\n"
+            "loaded = {'pandas', 'matplotlib', 'scipy.signal', 'scipy.stats'} & set(sys.modules)\n"
+            "from highway_env.envs.common import observation\n"
+            "from highway_env.vehicle import dynamics\n"
+            "print(sorted(loaded), observation.pd.DataFrame, dynamics.plt.figure.__name__)",
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PMBM_CACHE": str(tmp_path)},
+    )
+    assert done.stdout == "[] <class 'pandas.DataFrame'> figure\n"

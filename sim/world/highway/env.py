@@ -1,7 +1,7 @@
 """The one door to highway-env: what the project uses of it, and the scenes it registers.
 
 Nothing else imports highway_env, and nothing imports this module before traffic is simulated:
-it pulls in pandas, matplotlib and pygame.
+it pulls in pygame, and pandas and matplotlib where an environment observes or draws.
 
 highway-env's world has y pointing down and headings clockwise seen from above; everything here and
 in `actors` and `traffic` beside it speaks its frame, and `traffic` mirrors what it records.
@@ -10,14 +10,49 @@ in `actors` and `traffic` beside it speaks its frame, and `traffic` mirrors what
 from __future__ import annotations
 
 import os
+import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 from pmbm.errors import InputError, nearest_hint
 
+
+class _Later(ModuleType):
+    """A module that is imported when something of it is asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
+        return getattr(import_module(self.__name__), name)
+
+
+@contextmanager
+def _imported_later(*names: str) -> Iterator[None]:
+    """Let what is imported meanwhile have these modules as `_Later`, parents before what is in
+    them, unless they are loaded already."""
+    put: dict[str, ModuleType] = {}
+    for name in names:
+        if name in sys.modules:
+            continue
+        put[name] = sys.modules[name] = _Later(name)
+        parent, _, own = name.rpartition(".")
+        if parent in put:
+            setattr(put[parent], own, put[name])
+    try:
+        yield
+    finally:
+        for name, module in put.items():
+            if sys.modules.get(name) is module:
+                del sys.modules[name]
+
+
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-with warnings.catch_warnings():
+# Together they take two seconds to load, and no recording needs them.
+with warnings.catch_warnings(), _imported_later("pandas", "matplotlib", "matplotlib.pyplot"):
     # Rendering libraries that are never used here warn about their own dependencies.
     warnings.simplefilter("ignore")
     import gymnasium
