@@ -45,15 +45,8 @@ _PARTS = ("predict", "associate", "update", "reduce")
 
 
 def has(frame: Frame) -> bool:
-    """Whether this step is compiled for a frame: its measurements are positions of one covariance,
-    with boxes and labels that count, of a sensor that sees, and P_D is one of the models known
-    here."""
-    return (
-        frame.scan.radar is None
-        and frame.sensor.describes
-        and not frame.blind
-        and all(map(_has_law, _models(frame.detection)))
-    )
+    """Whether this step is compiled for a frame: P_D is one of the models known here."""
+    return all(map(_has_law, _models(frame.detection)))
 
 
 def advance(
@@ -70,7 +63,7 @@ def advance(
         undetected, scan = seen.columns(), scan.with_denser_births(denser)
     else:
         undetected, births, dropped = _undetected(model, density, frame)
-    given, held = scan.detections, density.held
+    given, radar, held = scan.detections, scan.radar, density.held
     if held is None:
         source, record = density.local.marks.source, density.local.record
     else:
@@ -95,9 +88,11 @@ def advance(
             scan.said,
             scan.confidence,
         ),
+        () if radar is None else radar.columns(),
         frame.view.pose,
         frame.region.pose,
         detection.looking if isinstance(detection, DetectionBySensor) else 0,
+        frame.blind,
         detection.of_undetected(),
     )
     after = Density.of_held(held, density.detections_seen + len(scan))
@@ -186,6 +181,7 @@ def _rules(model: PMBMConfig, site: Site, name: str) -> tuple[Any, ...]:
         *_polygons(site),
         observed.scaled_misses,
         observed.box_gain,
+        observed.describes,
         limits.gate if sensor.gate is None else sensor.gate,
         limits.recycle,
         log_of(prune),

@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <limits>
 #include <optional>
+#include <utility>
 #include <vector>
 
 namespace pmbm {
@@ -222,49 +223,57 @@ inline void weigh(const Expected& g, std::vector<std::int64_t>& rows,
     log_weight.resize(kept);
 }
 
+// log of the sum of exp(value) for each of M measurements; -inf where nothing was added.
+class LogSums {
+ public:
+    explicit LogSums(std::size_t measurements) : top_(measurements, kNone), sum_(measurements, 0.0) {}
+
+    void add(std::int64_t j, double value) {
+        if (value == kNone) return;
+        if (value > top_[j]) {
+            sum_[j] = sum_[j] * std::exp(top_[j] - value) + 1;
+            top_[j] = value;
+        } else {
+            sum_[j] += std::exp(value - top_[j]);
+        }
+    }
+
+    std::vector<double> found() && {
+        for (std::size_t j = 0; j < top_.size(); ++j) {
+            if (sum_[j] > 0) top_[j] += std::log(sum_[j]);
+        }
+        return std::move(top_);
+    }
+
+ private:
+    static constexpr double kNone = -std::numeric_limits<double>::infinity();
+    std::vector<double> top_, sum_;
+};
+
 // log of the sum, over the Gaussians in whose gate a measurement lies, of exp(log_height) times the
 // Gaussian's shape exp(-d^2 / 2); -inf where it lies in none.
 inline std::vector<double> log_density(const Innovations& g, const double* log_height,
                                        const double* z, std::size_t measurements,
                                        double threshold) {
-    constexpr double nothing = -std::numeric_limits<double>::infinity();
-    std::vector<double> top(measurements, nothing), sum(measurements, 0.0);
+    LogSums sums(measurements);
     each_gated(g, z, measurements, threshold,
                [&](std::size_t i, std::int64_t j, double y0, double y1) {
-                   const double value = log_height[i] - 0.5 * (y0 * y0 + y1 * y1);
-                   if (value == nothing) return;
-                   if (value > top[j]) {
-                       sum[j] = sum[j] * std::exp(top[j] - value) + 1;
-                       top[j] = value;
-                   } else {
-                       sum[j] += std::exp(value - top[j]);
-                   }
+                   sums.add(j, log_height[i] - 0.5 * (y0 * y0 + y1 * y1));
                });
-    for (std::size_t j = 0; j < measurements; ++j) {
-        if (sum[j] > 0) top[j] += std::log(sum[j]);
-    }
-    return top;
+    return std::move(sums).found();
 }
 
-// _explained() of recycling.py: the origin, other than -1, that makes up most of each measurement's
-// density, whose log is `log_total`, and its share; -1 and 0 where there is none.
-inline void explained(const Innovations& g, const double* log_height, const std::int64_t* origin,
-                      const double* share_of_origin, const double* z, const double* log_total,
-                      std::size_t measurements, double threshold, std::vector<std::int64_t>& origins,
-                      std::vector<double>& shares) {
-    struct Part {
-        std::int64_t measurement, origin;
-        double share;
-    };
-    std::vector<Part> parts;
-    each_gated(g, z, measurements, threshold,
-               [&](std::size_t i, std::int64_t j, double y0, double y1) {
-                   const double value = log_height[i] - 0.5 * (y0 * y0 + y1 * y1);
-                   if (origin[i] < 0 || !(value > -std::numeric_limits<double>::infinity())) return;
-                   parts.push_back(
-                       {j, origin[i], std::exp(value - log_total[j]) * share_of_origin[i]});
-               });
-    std::stable_sort(parts.begin(), parts.end(), [](const Part& a, const Part& b) {
+// Share of a measurement's density that comes from a Gaussian of that origin.
+struct OriginShare {
+    std::int64_t measurement, origin;
+    double share;
+};
+
+// _explained() of recycling.py: the origin that makes up most of each measurement's density, and its
+// share; -1 and 0 where there is none.
+inline void explained(std::vector<OriginShare>&& parts, std::size_t measurements,
+                      std::vector<std::int64_t>& origins, std::vector<double>& shares) {
+    std::stable_sort(parts.begin(), parts.end(), [](const OriginShare& a, const OriginShare& b) {
         return a.measurement != b.measurement ? a.measurement < b.measurement
                                               : a.origin < b.origin;
     });
@@ -282,6 +291,23 @@ inline void explained(const Innovations& g, const double* log_height, const std:
         origins[j] = parts[i].origin;
         shares[j] = share;
     }
+}
+
+// The same of Gaussians of an origin, or of -1, each, and of a share that is of it; `log_total` is
+// the log of each measurement's density.
+inline void explained(const Innovations& g, const double* log_height, const std::int64_t* origin,
+                      const double* share_of_origin, const double* z, const double* log_total,
+                      std::size_t measurements, double threshold, std::vector<std::int64_t>& origins,
+                      std::vector<double>& shares) {
+    std::vector<OriginShare> parts;
+    each_gated(g, z, measurements, threshold,
+               [&](std::size_t i, std::int64_t j, double y0, double y1) {
+                   const double value = log_height[i] - 0.5 * (y0 * y0 + y1 * y1);
+                   if (origin[i] < 0 || !(value > -std::numeric_limits<double>::infinity())) return;
+                   parts.push_back(
+                       {j, origin[i], std::exp(value - log_total[j]) * share_of_origin[i]});
+               });
+    explained(std::move(parts), measurements, origins, shares);
 }
 
 // _resume() of recycling.py: of each measurement the origin that explains more than `most` of it,
@@ -399,18 +425,54 @@ inline void correct(const double* mean, const double* cov, const Innovations& g,
     }
 }
 
-// What a measurement says alone: mean (M,4) at it and at rest, cov (M,4,4) of R in both blocks.
-inline void unexplained(const double* z, const double* R, std::size_t measurements, double* mean,
-                        double* cov) {
-    for (std::size_t j = 0; j < measurements; ++j) {
-        for (int a = 0; a < 2; ++a) {
-            mean[4 * j + a] = z[2 * j + a];
-            for (int b = 0; b < 2; ++b) {
-                cov[16 * j + 4 * a + b] = cov[16 * j + 4 * (a + 2) + b + 2] = R[2 * a + b];
+// What a measurement says alone: mean (4) at it and at rest, cov (4,4) of R in both blocks.
+inline void unexplained(const double* z, const double* R, double* mean, double* cov) {
+    for (int a = 0; a < 2; ++a) {
+        mean[a] = z[a];
+        for (int b = 0; b < 2; ++b) cov[4 * a + b] = cov[4 * (a + 2) + b + 2] = R[2 * a + b];
+    }
+}
+
+// Gaussians that make up a share of the density of a measurement z (M,2) each, as one Gaussian.
+class Fusion {
+ public:
+    Fusion(const double* z, std::size_t measurements)
+        : z_(z), first_(4 * measurements, 0.0), second_(16 * measurements, 0.0) {}
+
+    // mean (4), cov (16) : after measurement j.
+    void add(std::int64_t j, double share, const double* mean, const double* cov) {
+        double apart[4];
+        for (int a = 0; a < 4; ++a) {
+            apart[a] = mean[a] - (a < 2 ? z_[2 * j + a] : 0.0);
+            first_[4 * j + a] += share * apart[a];
+        }
+        for (int a = 0; a < 4; ++a) {
+            for (int b = 0; b < 4; ++b) {
+                second_[16 * j + 4 * a + b] += share * (cov[4 * a + b] + apart[a] * apart[b]);
             }
         }
     }
-}
+
+    // mean (M,4), cov (M,4,4) of those whose density, of log `log_total` (M,), is not zero; what is
+    // there stays of the others.
+    void write(const double* log_total, double* mean, double* cov) const {
+        for (std::size_t j = 0; 4 * j < first_.size(); ++j) {
+            if (!(log_total[j] > -std::numeric_limits<double>::infinity())) continue;
+            for (int a = 0; a < 4; ++a) {
+                mean[4 * j + a] = first_[4 * j + a] + (a < 2 ? z_[2 * j + a] : 0.0);
+                for (int b = 0; b < 4; ++b) {
+                    cov[16 * j + 4 * a + b] =
+                        second_[16 * j + 4 * a + b] - first_[4 * j + a] * first_[4 * j + b];
+                }
+            }
+        }
+    }
+
+ private:
+    const double* z_;
+    // Moments about the measurement itself, at rest: near the mean, so that little cancels.
+    std::vector<double> first_, second_;
+};
 
 // The Gaussians (mean_of, cov_of) in whose gate each measurement lies, corrected by it and weighted
 // by their share in its density, whose log is `log_total`, as one Gaussian: mean (M,4) and
@@ -421,8 +483,7 @@ inline void fuse(const Innovations& g, const double* log_height, const double* m
     // Of the Gaussian that was visited last: they come one after another, and most lie in no gate.
     std::optional<Correction> correction;
     std::size_t corrected = 0;
-    // Moments about the measurement itself, at rest: near the mean, so that little cancels.
-    std::vector<double> first(4 * measurements, 0.0), second(16 * measurements, 0.0);
+    Fusion fusion(z, measurements);
     each_gated(g, z, measurements, threshold,
                [&](std::size_t i, std::int64_t j, double y0, double y1) {
                    if (!correction || corrected != i) {
@@ -430,31 +491,14 @@ inline void fuse(const Innovations& g, const double* log_height, const double* m
                        corrected = i;
                    }
                    const auto& c = *correction;
-                   const double share =
-                       std::exp(log_height[i] - 0.5 * (y0 * y0 + y1 * y1) - log_total[j]);
-                   double apart[4];
+                   double after[4];
                    for (int a = 0; a < 4; ++a) {
-                       apart[a] = mean_of[4 * i + a] + c.W[2 * a] * y0 + c.W[2 * a + 1] * y1 -
-                                  (a < 2 ? z[2 * j + a] : 0.0);
-                       first[4 * j + a] += share * apart[a];
+                       after[a] = mean_of[4 * i + a] + c.W[2 * a] * y0 + c.W[2 * a + 1] * y1;
                    }
-                   for (int a = 0; a < 4; ++a) {
-                       for (int b = 0; b < 4; ++b) {
-                           second[16 * j + 4 * a + b] +=
-                               share * (c.after[4 * a + b] + apart[a] * apart[b]);
-                       }
-                   }
+                   fusion.add(j, std::exp(log_height[i] - 0.5 * (y0 * y0 + y1 * y1) - log_total[j]),
+                              after, c.after);
                });
-    for (std::size_t j = 0; j < measurements; ++j) {
-        if (!(log_total[j] > -std::numeric_limits<double>::infinity())) continue;
-        for (int a = 0; a < 4; ++a) {
-            mean[4 * j + a] = first[4 * j + a] + (a < 2 ? z[2 * j + a] : 0.0);
-            for (int b = 0; b < 4; ++b) {
-                cov[16 * j + 4 * a + b] =
-                    second[16 * j + 4 * a + b] - first[4 * j + a] * first[4 * j + b];
-            }
-        }
-    }
+    fusion.write(log_total, mean, cov);
 }
 
 }  // namespace pmbm

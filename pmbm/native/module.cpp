@@ -325,7 +325,9 @@ nb::tuple fuse(Table<double> expected, Input<double> l11, Input<double> l21, Inp
           Table<double> z, Input<double> log_total, double threshold) {
     const auto count = z.shape(0);
     std::vector<double> mean(4 * count), cov(16 * count);
-    pmbm::unexplained(z.data(), R.data(), count, mean.data(), cov.data());
+    for (std::size_t j = 0; j < count; ++j) {
+        pmbm::unexplained(z.data() + 2 * j, R.data(), mean.data() + 4 * j, cov.data() + 16 * j);
+    }
     pmbm::fuse(innovations(expected, l11, l21, l22), log_height.data(), mean_of.data(),
                cov_of.data(), R.data(), z.data(), log_total.data(), z.shape(0), threshold, mean.data(),
                cov.data());
@@ -528,6 +530,7 @@ struct Rules {
         sensor.occluders = {corner_start.data(), corner.data(), corner_start.size() - 1};
         sensor.scaled_misses = in.flag();
         sensor.box_gain = in.number();
+        sensor.describes = in.flag();
         step.gate = in.number();
         step.recycle = in.flag();
         step.log_prune_undetected = in.number();
@@ -646,6 +649,25 @@ struct LocalsColumns {
     }
 };
 
+// The columns of `RadarScan`, or none.
+struct RadarColumns {
+    Input<double> R, sight, speed, variance;
+    bool given = false;
+
+    explicit RadarColumns(nb::handle tuple) {
+        Values in(tuple);
+        if (!in.left()) return;
+        given = true;
+        R = in.numbers();
+        sight = in.numbers();
+        const auto measured = in.any();
+        if (!measured.is_none()) speed = nb::cast<Input<double>>(measured);
+        variance = in.numbers();
+    }
+
+    pmbm::RadarView view() const { return {R.data(), sight.data(), speed.data(), variance.data()}; }
+};
+
 // What one frame measured.
 struct ScanColumns {
     Input<double> evidence, birth, first, said, confidence;
@@ -698,13 +720,15 @@ struct DensityColumns {
 // from what a step before it left, or from columns; `ppp` is empty where that is what was left too.
 nb::tuple step(nb::handle rules, nb::handle interval, nb::handle ppp, nb::handle births,
                nb::handle before, Input<double> source, Input<double> record,
-               std::int64_t detections_seen, nb::handle scan, Input<double> pose, Input<double> region, std::size_t looking,
-               double detection_undetected) {
+               std::int64_t detections_seen, nb::handle scan, nb::handle radar, Input<double> pose,
+               Input<double> region, std::size_t looking, bool blind, double detection_undetected) {
     Rules how(rules);
     const Interval since(interval);
     const BirthsColumns born(births);
     const auto births_view = born.view();
     const ScanColumns seen(scan);
+    const RadarColumns by_radar(radar);
+    const auto radar_view = by_radar.view();
     const pmbm::Held* held = nullptr;
     std::unique_ptr<const DensityColumns> given;
     std::unique_ptr<const MixtureColumns> mixture;
@@ -724,6 +748,7 @@ nb::tuple step(nb::handle rules, nb::handle interval, nb::handle ppp, nb::handle
     how.sensor.laws = since.laws.data();
     how.sensor.sensors = since.laws.size();
     how.sensor.looking = looking;
+    how.sensor.blind = blind;
     how.sensor.detection_undetected = detection_undetected;
     how.step.F = since.F.data();
     how.step.Q = since.Q.data();
@@ -737,8 +762,8 @@ nb::tuple step(nb::handle rules, nb::handle interval, nb::handle ppp, nb::handle
             mixture ? mixture->view() : held->mixture(), born.given ? &births_view : nullptr,
             local, table, held ? held->step().track_id.data() : given->track_id.data(),
             held ? held->step().track_id.size() : given->track_id.size(), detections_seen,
-            held ? held->settled() : given->settled, seen.view(), how.sensor, how.step,
-            how.occlusion);
+            held ? held->settled() : given->settled, seen.view(),
+            by_radar.given ? &radar_view : nullptr, how.sensor, how.step, how.occlusion);
         *out = stepper.run();
     }
     if (out->existence.size() > pmbm::kMany) pmbm::trim_heap();

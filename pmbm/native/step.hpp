@@ -21,6 +21,7 @@
 #include "merge.hpp"
 #include "mixture.hpp"
 #include "occlusion.hpp"
+#include "radar.hpp"
 #include "reduce.hpp"
 #include "sensor.hpp"
 #include "tables.hpp"
@@ -62,17 +63,20 @@ struct ScanView {
 };
 
 struct SensorRules {
+    // Of a measured position, where a radar does not give each its own.
     const double* R;
     double clutter, detection_undetected;
     // Of S sensors, and which of them looks.
     const DetectionLaw* laws;
     std::size_t sensors, looking;
+    bool blind;
     // Where it looks, and where objects are followed.
     View view, region;
     bool occlusion, undetected_in_detail;
     Polygons occluders;
     bool scaled_misses;
     double box_gain;
+    bool describes;
 };
 
 struct StepRules {
@@ -177,14 +181,15 @@ struct Gaussian {
 
 class Stepper {
  public:
-    // births: null where the undetected objects come predicted, births and all.
+    // births: null where the undetected objects come predicted, births and all.  radar: null where
+    // all measurements are positions of one covariance.
     Stepper(const MixtureView& ppp, const BirthsView* births, const LocalsView& local, const TableView& table,
             const std::int64_t* track_id, std::size_t tracks, std::int64_t detections_seen,
-            std::int64_t settled, const ScanView& scan, const SensorRules& sensor,
-            const StepRules& rules, const OcclusionRules& occlusion)
+            std::int64_t settled, const ScanView& scan, const RadarView* radar,
+            const SensorRules& sensor, const StepRules& rules, const OcclusionRules& occlusion)
         : survivors_(ppp), births_(births), local_(local), table_(table), track_id_(track_id), tracks_(tracks),
-          detections_seen_(detections_seen), settled_(settled), scan_(scan), sensor_(sensor),
-          rules_(rules), occlusion_(occlusion) {}
+          detections_seen_(detections_seen), settled_(settled), scan_(scan), radar_(radar),
+          sensor_(sensor), rules_(rules), occlusion_(occlusion) {}
 
     Step run() {
         auto last = std::chrono::steady_clock::now();
@@ -243,6 +248,7 @@ class Stepper {
             share_inside(one.mean, one.cov, 1, sensor_.view, &inside);
             detection_[h] = law.probability(local_.confidence[own], detectable(own)) * inside;
         }
+        if (sensor_.blind) std::fill(detection_.begin(), detection_.end(), 0.0);
         Floats inside(P, 1.0);
         if (sensor_.undetected_in_detail) {
             share_inside(ppp_.mean.data(), ppp_.cov.data(), P, sensor_.view, inside.data());
@@ -307,26 +313,10 @@ class Stepper {
     // Box 2.
     void associate() {
         const auto H = local_.count, M = scan_.count, K = local_.classes;
-        const Gate gate(scan_.position, M, rules_.gate);
-        std::vector<Hit> hits;
-        for (std::size_t h = 0; h < H; ++h) {
-            const auto one = predicted(h);
-            const Innovation g(one.mean, one.cov, sensor_.R);
-            const double prior = existence(h) * (hides_ ? if_detected_[h] : detection_[h]);
-            const double log_height = std::log(prior) + g.log_norm();
-            gate.sorted(g, hits);
-            for (const auto& hit : hits) {
-                const double weight = log_height - 0.5 * (hit.y0 * hit.y0 + hit.y1 * hit.y1);
-                if (!(weight > kNothing)) continue;
-                const double* source = local_.source + K * h;
-                const double* evidence =
-                    scan_.evidence + K * static_cast<std::size_t>(hit.measurement);
-                double ratio = 0;
-                for (std::size_t k = 0; k < K; ++k) ratio += source[k] * evidence[k];
-                row_.push_back(static_cast<std::int64_t>(h));
-                measurement_.push_back(hit.measurement);
-                pair_weight_.push_back(weight + std::max(std::log(ratio), kLogTiny));
-            }
+        if (radar_) {
+            gate_by_radar();
+        } else {
+            gate();
         }
         release(if_detected_);
         for (auto* column : {&row_, &measurement_}) column->shrink_to_fit();
@@ -345,14 +335,7 @@ class Stepper {
         const double tiny = std::exp(kLogTiny);
         for (auto& weight : log_missed) weight = std::log(std::max(weight, tiny));
 
-        Floats log_detected(ppp_.size());
-        for (std::size_t p = 0; p < ppp_.size(); ++p) {
-            log_detected[p] = ppp_.log_weight[p] + std::log(ppp_if_detected_[p]);
-        }
-        first_ = std::make_unique<Expected>(ppp_.mean.data(), ppp_.cov.data(), sensor_.R,
-                                            log_detected.data(), true, ppp_.size());
-        log_e_ = log_density(first_->view(), first_->log_height.data(), scan_.position, M,
-                             rules_.gate);
+        detect_first();
         const double log_clutter = sensor_.clutter > 0 ? std::log(sensor_.clutter) : kNothing;
         log_birth_.resize(M);
         log_new_.resize(M);
@@ -373,6 +356,78 @@ class Stepper {
                              static_cast<std::int64_t>(M), rules_.branching, out_.unlikely);
         out_.pairs = static_cast<std::int64_t>(row_.size());
         release(pair_weight_);
+    }
+
+    void gate() {
+        const Gate gate(scan_.position, scan_.count, rules_.gate);
+        std::vector<Hit> hits;
+        for (std::size_t h = 0; h < local_.count; ++h) {
+            const auto one = predicted(h);
+            const Innovation g(one.mean, one.cov, sensor_.R);
+            const double log_height = log_prior(h) + g.log_norm();
+            gate.sorted(g, hits);
+            for (const auto& hit : hits) {
+                add_pair(h, hit.measurement, log_height - 0.5 * (hit.y0 * hit.y0 + hit.y1 * hit.y1));
+            }
+        }
+    }
+
+    void gate_by_radar() {
+        const RadarGate gate(scan_.position, scan_.count, *radar_, rules_.gate);
+        std::vector<RadarGate::Pair> pairs;
+        for (std::size_t h = 0; h < local_.count; ++h) {
+            const double prior = log_prior(h);
+            if (!(prior > kNothing)) continue;
+            const auto one = predicted(h);
+            gate.sorted(one.mean, one.cov, pairs);
+            for (const auto& [j, log_density] : pairs) add_pair(h, j, prior + log_density);
+        }
+    }
+
+    // log of r P_D.
+    double log_prior(std::size_t h) const {
+        return std::log(existence(h) * (hides_ ? if_detected_[h] : detection_[h]));
+    }
+
+    // weight : of the pair, but for what the measurement's score says of its source.
+    void add_pair(std::size_t h, std::int64_t j, double weight) {
+        if (!(weight > kNothing)) return;
+        const auto K = local_.classes;
+        const double* source = local_.source + K * h;
+        const double* evidence = scan_.evidence + K * static_cast<std::size_t>(j);
+        double ratio = 0;
+        for (std::size_t k = 0; k < K; ++k) ratio += source[k] * evidence[k];
+        row_.push_back(static_cast<std::int64_t>(h));
+        measurement_.push_back(j);
+        pair_weight_.push_back(weight + std::max(std::log(ratio), kLogTiny));
+    }
+
+    // log e of each measurement, and by what it is made up.
+    void detect_first() {
+        const auto P = ppp_.size(), M = scan_.count;
+        Floats log_detected(P);
+        for (std::size_t p = 0; p < P; ++p) {
+            log_detected[p] = ppp_.log_weight[p] + std::log(ppp_if_detected_[p]);
+        }
+        if (!radar_) {
+            first_ = std::make_unique<Expected>(ppp_.mean.data(), ppp_.cov.data(), sensor_.R,
+                                                log_detected.data(), true, P);
+            log_e_ = log_density(first_->view(), first_->log_height.data(), scan_.position, M,
+                                 rules_.gate);
+            return;
+        }
+        const RadarGate gate(scan_.position, M, *radar_, rules_.gate);
+        std::vector<RadarGate::Pair> pairs;
+        LogSums sums(M);
+        for (std::size_t p = 0; p < P; ++p) {
+            if (!(log_detected[p] > kNothing)) continue;
+            gate.sorted(ppp_.mean.data() + 4 * p, ppp_.cov.data() + 16 * p, pairs);
+            for (const auto& [j, log_density] : pairs) {
+                first_pairs_.push_back({p, j, log_detected[p] + log_density});
+                sums.add(j, first_pairs_.back().log_weight);
+            }
+        }
+        log_e_ = std::move(sums).found();
     }
 
     // Box 3: which candidates are used, and what decides which of them stay: existence and track.
@@ -411,22 +466,50 @@ class Stepper {
 
     void resume() {
         const auto& fresh = runs_[2];
-        Floats z(2 * fresh.size()), log_e(fresh.size()), r(fresh.size());
+        Floats r(fresh.size());
         for (std::size_t i = 0; i < fresh.size(); ++i) {
             const auto j = static_cast<std::size_t>(fresh[i]);
-            z[2 * i] = scan_.position[2 * j];
-            z[2 * i + 1] = scan_.position[2 * j + 1];
-            log_e[i] = log_e_[j];
             r[i] = std::exp(log_birth_[j] - log_new_[j]);
         }
         Ints origins;
         Floats shares;
-        explained(first_->view(), first_->log_height.data(), ppp_.track.data(), ppp_.share.data(), z.data(),
-                  log_e.data(), fresh.size(), rules_.gate, origins, shares);
+        if (radar_) {
+            std::vector<OriginShare> parts;
+            each_first_pair(fresh, [&](std::int64_t i, std::size_t p, std::size_t, double share) {
+                if (ppp_.track[p] >= 0) parts.push_back({i, ppp_.track[p], share * ppp_.share[p]});
+            });
+            explained(std::move(parts), fresh.size(), origins, shares);
+        } else {
+            Floats z, log_e;
+            places(fresh, z, log_e);
+            explained(first_->view(), first_->log_height.data(), ppp_.track.data(),
+                      ppp_.share.data(), z.data(), log_e.data(), fresh.size(), rules_.gate, origins,
+                      shares);
+        }
         origins = resumed(std::move(origins), shares, rules_.most_of_one, r.data(), track_id_,
                           tracks_);
         for (std::size_t i = 0; i < fresh.size(); ++i) {
             if (origins[i] >= 0) ids_[tracks_ + static_cast<std::size_t>(fresh[i])] = origins[i];
+        }
+    }
+
+    // Of these measurements (n,) positions (n,2), and log e.
+    void places(const Ints& of, Floats& z, Floats& log_e) const {
+        for (const auto j : of) {
+            z.insert(z.end(), scan_.position + 2 * j, scan_.position + 2 * j + 2);
+            log_e.push_back(log_e_[static_cast<std::size_t>(j)]);
+        }
+    }
+
+    // Calls visit(i, component, measurement, share of the component in its e) for all pairs of a
+    // component and the ith of these measurements of a radar.
+    template <typename Visit>
+    void each_first_pair(const Ints& of, Visit visit) const {
+        Ints place(scan_.count, -1);
+        for (std::size_t i = 0; i < of.size(); ++i) place[of[i]] = static_cast<std::int64_t>(i);
+        for (const auto& [p, j, log_weight] : first_pairs_) {
+            if (place[j] < 0) continue;
+            visit(place[j], p, static_cast<std::size_t>(j), std::exp(log_weight - log_e_[j]));
         }
     }
 
@@ -459,7 +542,8 @@ class Stepper {
         out_.hypotheses = std::move(reduced.table);
         for (const auto t : reduced.compact.tracks) out_.track_id.push_back(ids_[t]);
         release(row_, measurement_, runs_, track_, ids_, fused_at_, existence_after_, new_mean_,
-                new_cov_, detection_, missed_mean_, missed_cov_, log_e_, log_birth_, log_new_, first_);
+                new_cov_, detection_, missed_mean_, missed_cov_, log_e_, log_birth_, log_new_, first_,
+                first_pairs_);
         reduce_undetected();
     }
 
@@ -478,21 +562,28 @@ class Stepper {
         for (const auto row : reduced.compact.rows) want(row);
         for (const auto row : reduced.recycled) want(row);
         const auto n = wanted.size();
-        Floats z(2 * n), log_e(n);
-        for (std::size_t i = 0; i < n; ++i) {
-            const auto j = static_cast<std::size_t>(wanted[i]);
-            z[2 * i] = scan_.position[2 * j];
-            z[2 * i + 1] = scan_.position[2 * j + 1];
-            log_e[i] = log_e_[j];
-        }
+        Floats z, log_e;
+        places(wanted, z, log_e);
         new_mean_.resize(4 * n);
         new_cov_.resize(16 * n);
-        unexplained(z.data(), sensor_.R, n, new_mean_.data(), new_cov_.data());
-        if (n) {
+        for (std::size_t i = 0; i < n; ++i) {
+            unexplained(z.data() + 2 * i, radar_ ? radar_->R + 4 * wanted[i] : sensor_.R,
+                        new_mean_.data() + 4 * i, new_cov_.data() + 16 * i);
+        }
+        if (!n) return;
+        if (!radar_) {
             fuse(first_->view(), first_->log_height.data(), ppp_.mean.data(), ppp_.cov.data(),
                  sensor_.R, z.data(), log_e.data(), n, rules_.gate, new_mean_.data(),
                  new_cov_.data());
+            return;
         }
+        Fusion fusion(z.data(), n);
+        each_first_pair(wanted, [&](std::int64_t i, std::size_t p, std::size_t j, double share) {
+            const RadarUpdate after(ppp_.mean.data() + 4 * p, ppp_.cov.data() + 16 * p,
+                                    z.data() + 2 * i, *radar_, j);
+            fusion.add(i, share, after.mean, after.cov);
+        });
+        fusion.write(log_e.data(), new_mean_.data(), new_cov_.data());
     }
 
     // The state of a candidate: mean (4), cov (16).
@@ -510,6 +601,13 @@ class Stepper {
             const auto pair = static_cast<std::size_t>(runs_[1][candidate - missed]);
             const auto h = static_cast<std::size_t>(row_[pair]);
             const auto before = predicted(h);
+            if (radar_) {
+                const auto j = static_cast<std::size_t>(measurement_[pair]);
+                const RadarUpdate after(before.mean, before.cov, scan_.position + 2 * j, *radar_, j);
+                std::copy_n(after.mean, 4, mean);
+                std::copy_n(after.cov, 16, cov);
+                return;
+            }
             const Innovation g(before.mean, before.cov, sensor_.R);
             const Correction c(before.cov, g, sensor_.R);
             const auto y = g.whitened(scan_.position + 2 * measurement_[pair]);
@@ -557,9 +655,9 @@ class Stepper {
             } else {
                 j = runs_[2][candidate - missed - detected];
             }
-            if (j >= 0) std::copy_n(scan_.box + 5 * j, 5, box);
-            if (h >= 0 && j < 0) std::copy_n(local_.box + 5 * h, 5, box);
-            if (h >= 0 && j >= 0 && sensor_.box_gain != 1) {
+            const bool described = j >= 0 && (h < 0 || sensor_.describes);
+            std::copy_n(described ? scan_.box + 5 * j : local_.box + 5 * h, 5, box);
+            if (h >= 0 && described && sensor_.box_gain != 1) {
                 const double* before = local_.box + 5 * h;
                 for (int a = 0; a < 4; ++a) {
                     box[a] = before[a] + sensor_.box_gain * (box[a] - before[a]);
@@ -567,7 +665,7 @@ class Stepper {
             }
             out_.shown.push_back({h >= 0 && local_.shown[h]});
             out_.newest.push_back(j >= 0 ? detections_seen_ + j : local_.newest[h]);
-            out_.label.push_back(j >= 0 ? scan_.label[j] : local_.label[h]);
+            out_.label.push_back(described ? scan_.label[j] : local_.label[h]);
             for (std::size_t step = 0; L && step + 1 < L; ++step) {
                 history[step] = h >= 0 ? local_.history[L * h + step + 1] : kBefore;
             }
@@ -703,6 +801,7 @@ class Stepper {
     std::size_t tracks_;
     std::int64_t detections_seen_, settled_;
     const ScanView scan_;
+    const RadarView* radar_;
     const SensorRules& sensor_;
     const StepRules& rules_;
     const OcclusionRules& occlusion_;
@@ -712,8 +811,15 @@ class Stepper {
     bool recycled_before_ = false, hides_ = false;
     Floats detection_, if_detected_, ppp_detection_, ppp_if_detected_;
     Floats missed_mean_, missed_cov_, missed_existence_, ppp_missed_mean_, ppp_missed_cov_;
-    // Gated pairs, and first detections.
+    // Gated pairs, and first detections: the undetected objects as these see them, or their pairs
+    // with a radar's measurements.
+    struct FirstPair {
+        std::size_t component;
+        std::int64_t measurement;
+        double log_weight;
+    };
     std::unique_ptr<Expected> first_;
+    std::vector<FirstPair> first_pairs_;
     Ints row_, measurement_;
     Floats pair_weight_, log_e_, log_birth_, log_new_;
     // Candidates: runs of missed, detected and new ones that are used.

@@ -4,6 +4,7 @@
 #include "branch.hpp"
 #include "detection.hpp"
 #include "overlaps.hpp"
+#include "radar.hpp"
 #include "gate.hpp"
 #include "join.hpp"
 #include "merge.hpp"
@@ -11,6 +12,7 @@
 #include "reduce.hpp"
 #include "road.hpp"
 #include "sensor.hpp"
+#include "step.hpp"
 #include "tables.hpp"
 #include "undetected_map.hpp"
 
@@ -431,6 +433,174 @@ void fuzz_gate() {
     for (const auto value : spread_of) require(std::isfinite(value), "a covariance is not finite");
 }
 
+// Measurements of a covariance of their own around a sensor, and perhaps of radial velocities.
+struct RadarScan {
+    pmbm::Floats R, sight, speed, variance;
+    bool has_speed = chance() < 0.6;
+
+    explicit RadarScan(const pmbm::Floats& z) {
+        for (std::size_t j = 0; 2 * j < z.size(); ++j) {
+            const double turn = 7 * chance(), along = 0.01 + chance(), across = 0.01 + 9 * chance();
+            const double c = std::cos(turn), s = std::sin(turn), both = (along - across) * c * s;
+            R.insert(R.end(), {along * c * c + across * s * s, both, both,
+                               along * s * s + across * c * c});
+            sight.insert(sight.end(), {c, s});
+            speed.push_back(20 * chance() - 10);
+            variance.push_back(0.01 + chance());
+        }
+    }
+
+    pmbm::RadarView view() const {
+        return {R.data(), sight.data(), has_speed ? speed.data() : nullptr, variance.data()};
+    }
+};
+
+// The pairs in a radar's gate are those that a look at each finds, and an update leaves less to know.
+void fuzz_radar() {
+    const auto m = static_cast<std::size_t>(whole(0, 40));
+    const double spread = std::pow(10.0, whole(0, 3)), threshold = 0.5 + 20 * chance();
+    pmbm::Floats z;
+    for (std::size_t i = 0; i < 2 * m; ++i) z.push_back(spread * (chance() - 0.5));
+    const RadarScan scan(z);
+    const pmbm::RadarGate gate(z.data(), m, scan.view(), threshold);
+    double mean[4], P[16] = {};
+    for (int a = 0; a < 4; ++a) {
+        mean[a] = spread * (chance() - 0.5);
+        P[5 * a] = 0.1 + (chance() < 0.2 ? spread * spread : 1) * chance();
+    }
+    P[1] = P[4] = 0.3 * std::sqrt(P[0] * P[5]);
+    std::vector<pmbm::RadarGate::Pair> pairs;
+    gate.sorted(mean, P, pairs);
+    std::size_t at = 0;
+    for (std::size_t j = 0; j < m; ++j) {
+        const pmbm::RadarUpdate after(mean, P, z.data() + 2 * j, scan.view(), j);
+        require(after.distance >= 0 && std::isfinite(after.log_density), "a density of no number");
+        for (int a = 0; a < 4; ++a) {
+            require(after.cov[5 * a] > 0 && after.cov[5 * a] <= P[5 * a] * (1 + 1e-9),
+                    "a measurement left more to know");
+        }
+        if (after.distance >= threshold) continue;
+        require(at < pairs.size() && pairs[at].measurement == static_cast<std::int64_t>(j) &&
+                    pairs[at].log_density == after.log_density,
+                "a pair in a radar's gate is missing or out of order");
+        ++at;
+    }
+    require(at == pairs.size(), "a pair out of a radar's gate");
+}
+
+// A few steps, each from what the one before left, of sensors that take turns: tables stay sound.
+void fuzz_steps() {
+    const auto K = static_cast<std::size_t>(whole(1, 3)), S = static_cast<std::size_t>(whole(1, 2)),
+               L = static_cast<std::size_t>(whole(0, 3)), sums = static_cast<std::size_t>(whole(0, 2));
+    const bool clustering = chance() < 0.8, recycle = chance() < 0.8;
+    const double F[16] = {1, 0, .1, 0, 0, 1, 0, .1, 0, 0, 1, 0, 0, 0, 0, 1};
+    const double Q[16] = {.01, 0, .1, 0, 0, .01, 0, .1, .1, 0, 2, 0, 0, .1, 0, 2};
+    const double R[4] = {0.3, 0.1, 0.1, 0.2}, pose[3] = {1, 2, 20 * chance() - 10};
+    const pmbm::View view{pose, chance(), chance() < 0.5 ? std::acos(-1.0) : 1.0, 60};
+    std::vector<pmbm::DetectionLaw> laws;
+    for (std::size_t s = 0; s < S; ++s) {
+        laws.push_back({0.5, 0.9, chance() < 0.5, chance(), 0.2 * chance(), 0.9, chance()});
+    }
+    const pmbm::Ints corner_start{0, 4};
+    const double corner[8] = {10, 10, 14, 10, 14, 14, 10, 14}, nodes[8] = {1, 0, -1, 0, 0, 1, 0, -1};
+    pmbm::Floats cos, sin;
+    for (int i = 0; i < 90; ++i) {
+        cos.push_back(std::cos((i + 0.5) * 2 * pmbm::kPi / 90));
+        sin.push_back(std::sin((i + 0.5) * 2 * pmbm::kPi / 90));
+    }
+    const pmbm::OcclusionRules occlusion{0.05, 1 - 1e-9, 1e-6, 1, 2, 0.8, 0.05, 1e5, nodes, 4,
+                                         {cos.data(), sin.data(), 90}};
+    const pmbm::SensorRules sensor{R, chance() < 0.1 ? 0.0 : 1e-3, 0.8, laws.data(), S, 0, false,
+                                   view, view, chance() < 0.5, chance() < 0.5,
+                                   {corner_start.data(), corner, 1}, chance() < 0.2,
+                                   chance() < 0.5 ? 1.0 : 0.4, true};
+    const double log_prune = std::log(1e-3);
+    const pmbm::StepRules rules{F, Q, 0.99, std::log(0.99), 16,
+                                {whole(1, 30), 1e12, 300000, -log_prune, log_prune, clustering},
+                                {log_prune, 30, 1e12, 0.1 * chance(), whole(1, 12), clustering, 1e-3, 30},
+                                recycle, std::log(1e-5), chance() < 0.5 ? 0.0 : 1.0, 1, 1e-6, 1e-9,
+                                30, whole(2, 30), 3, 0.5};
+    const double birth_weight[2] = {-2, -1}, birth_mean[8] = {-20, 0, 0, 0, 20, 0, 0, 0};
+    double birth_cov[32] = {};
+    for (int a = 0; a < 8; ++a) birth_cov[16 * (a / 4) + 5 * (a % 4)] = a % 4 < 2 ? 400 : 25;
+    const pmbm::BirthsView births{birth_weight, birth_mean, birth_cov, 2, chance() < 0.5};
+
+    auto before = std::make_unique<pmbm::Step>();
+    if (!clustering) before->hypotheses.close_row(0, 0.0);
+    std::int64_t seen = 0;
+    for (int steps = whole(1, 5); steps > 0; --steps) {
+        const auto m = static_cast<std::size_t>(whole(0, 6));
+        pmbm::Floats z, box(5 * m, 1.0), evidence, birth(K, 1.0 / static_cast<double>(K)), first,
+            said(sums * m, 0.5), confidence;
+        const std::vector<std::int8_t> label(m, 1);
+        for (std::size_t j = 0; j < m; ++j) {
+            for (int a = 0; a < 2; ++a) z.push_back(chance() < 0.7 ? 8 * whole(-2, 2) + chance() : 80 * chance() - 40);
+            for (std::size_t k = 0; k < K; ++k) evidence.push_back(chance() < 0.1 ? 0.0 : 5 * chance());
+            first.insert(first.end(), {chance(), chance()});
+            confidence.push_back(chance());
+        }
+        const RadarScan by_radar(z);
+        const auto radar = by_radar.view();
+        const bool given = chance() < 0.5;
+        auto looks = sensor;
+        looks.looking = static_cast<std::size_t>(whole(0, static_cast<int>(S) - 1));
+        looks.describes = !given;
+        looks.blind = chance() < 0.1;
+        const auto& s = *before;
+        const auto H = s.existence.size();
+        const auto& ppp = s.undetected;
+        const pmbm::MixtureView survivors{
+            ppp.log_weight.data(), ppp.mean.data(), ppp.cov.data(), ppp.track.data(),
+            ppp.share.data(), ppp.recycled.data(), ppp.size()};
+        const pmbm::LocalsView local{s.track.data(), s.existence.data(), s.mean.data(),
+                                     s.cov.data(), s.box.data(), s.label.data(), s.newest.data(),
+                                     reinterpret_cast<const bool*>(s.shown.data()),
+                                     s.history.data(), s.source.data(), s.confidence.data(),
+                                     s.detectable.data(), s.record.data(), H, L, K, sums};
+        pmbm::Stepper stepper(survivors, &births, local, view_of(s.hypotheses), s.track_id.data(),
+                              s.track_id.size(), seen, s.settled,
+                              {z.data(), box.data(), label.data(), evidence.data(), birth.data(),
+                               chance() < 0.5 ? first.data() : nullptr, said.data(),
+                               confidence.data(), m, false},
+                              given ? &radar : nullptr, looks, rules, occlusion);
+        auto after = std::make_unique<pmbm::Step>(stepper.run());
+        seen += static_cast<std::int64_t>(m);
+        const auto kept = after->existence.size(), tracks = after->track_id.size();
+        check_table(after->hypotheses, static_cast<std::int64_t>(kept), nullptr);
+        require(after->mean.size() == 4 * kept && after->cov.size() == 16 * kept &&
+                    after->source.size() == K * kept && after->history.size() == L * kept &&
+                    after->detectable.size() == S * kept && after->record.size() == sums * kept,
+                "a table of another length");
+        for (std::size_t h = 0; h < kept; ++h) {
+            require(after->existence[h] >= 0 && after->existence[h] <= 1 + 1e-9, "no probability");
+            require(after->track[h] >= 0 && after->track[h] < static_cast<std::int64_t>(tracks),
+                    "a hypothesis of no track");
+            require(after->newest[h] >= 0 && after->newest[h] < seen, "a detection of nobody's");
+            for (int a = 0; a < 4; ++a) {
+                require(std::isfinite(after->mean[4 * h + a]) && after->cov[16 * h + 5 * a] > 0,
+                        "a state of no number");
+            }
+            double total = 0;
+            for (std::size_t k = 0; k < K; ++k) total += after->source[K * h + k];
+            require(std::abs(total - 1) < 1e-9, "classes do not add up to one");
+        }
+        require(std::set<std::int64_t>(after->track_id.begin(), after->track_id.end()).size() ==
+                    tracks, "an id twice");
+        for (std::size_t t = 0; t < tracks; ++t) {
+            require(after->track_existence[t] >= 0 && after->track_existence[t] <= 1, "existence");
+            require(after->track[static_cast<std::size_t>(after->best[t])] ==
+                        static_cast<std::int64_t>(t), "the best of another track");
+        }
+        for (std::size_t p = 0; p < after->undetected.size(); ++p) {
+            require(std::isfinite(after->undetected.log_weight[p]), "undetected ones of no weight");
+            for (int a = 0; a < 4; ++a) {
+                require(after->undetected.cov[16 * p + 5 * a] > 0, "undetected ones of no place");
+            }
+        }
+        before = std::move(after);
+    }
+}
+
 void fuzz_candidates() {
     const std::vector<std::int64_t> lengths{whole(0, 9), whole(0, 9), whole(0, 9)};
     const auto all = static_cast<int>(lengths[0] + lengths[1] + lengths[2]);
@@ -719,6 +889,8 @@ int main(int argc, char** argv) {
         fuzz_tables();
         fuzz_reduction();
         fuzz_gate();
+        fuzz_radar();
+        fuzz_steps();
         fuzz_candidates();
         fuzz_exclusion();
         fuzz_sensor();

@@ -18,13 +18,13 @@ from pmbm.filter import (
     EveryScore,
     FixedDetection,
     ObjectClasses,
+    Reduction,
     Report,
     Sensor,
     State,
     compiled,
     tracker,
 )
-from pmbm.filter.frame import form_frame
 from pmbm.filter.models.score_record import RecordWeights, ScoreRecord
 from pmbm.labels import Label
 from pmbm.score import ScoreModel
@@ -76,6 +76,25 @@ SCENARIOS = (
     "duplicates",
     "blind_spot",
 )
+LIDAR = Sensor(position_sd=0.4, clutter_rate=10.0)
+RADAR = Sensor(
+    range_sd=0.35, azimuth_sd=0.0105, radial_velocity_sd=0.3, clutter_rate=4.0, describes=False
+)
+SEVERAL = {
+    "default": PMBMConfig(sensors={"lidar": LIDAR, "radar": RADAR}),
+    "map": PMBMConfig(birth=BirthMap(), sensors={"lidar": LIDAR, "radar": RADAR}),
+    "positions of a radar, most of them in no gate, and no track given up": PMBMConfig(
+        sensors={"lidar": LIDAR, "radar": replace(RADAR, radial_velocity_sd=None, gate=0.5)},
+        reduction=Reduction(recycle_below=0.0),
+    ),
+    "round positions and radial velocities": PMBMConfig(
+        sensor=Sensor(position_sd=1.0, radial_velocity_sd=0.3, box_gain=0.3),
+        scores=EveryScore(),
+        reduction=Reduction(recycle_below=0.2),
+    ),
+    "paper": replace(PMBMConfig.paper(), sensors={"radar": RADAR}),
+}
+"""Models of a lidar and a radar."""
 EVERYDAY = 25
 """Steps of each recording that the everyday test looks at."""
 
@@ -110,35 +129,36 @@ def tables(advanced):
 def check_steps(config, recording, steps):
     """Both kernels go on from the state that the compiled one has reached."""
     state, site = State.initial(config), recording.site
-    for detections in recording.detections[:steps]:
+    for count, detections in enumerate(recording.detections[:steps]):
         if state.started and detections.time < state.time:
             continue
         # What scores are, some models read on another scale.
         detections = replace(detections, raw_score=4 * detections.score - 2)
-        frame = form_frame(
-            config,
-            site,
-            detections,
-            carrier=site.carrier_pose(detections),
-            last=state.time if state.started else None,
-            births_memory=state.births,
-            scene=state.scene,
-        )
-        fast = compiled.advance(native, config, site, state.density, frame)
-        # Whether it goes on from what the step before it left, or from the tables of that.
-        afresh = compiled.advance(native, config, site, replace(state.density), frame)
-        check_columns(tables(afresh), tables(fast))
-        with pytest.MonkeyPatch.context() as patched:
-            patched.setattr(kernels, "native", None)
-            plain = tracker.advance(config, site, state.density, frame)
-            _, plainly = tracker.report(config, state, frame, fast)
-        dropped = plain.removed.undetected_dropped
-        assert fast.removed.undetected_dropped == pytest.approx(dropped, rel=1e-9, abs=1e-12)
-        assert replace(fast.removed, undetected_dropped=dropped) == plain.removed
-        check_columns(tables(fast), tables(plain))
-        state, reported = tracker.report(config, state, frame, fast)
-        names = [field.name for field in fields(Tracks) if field.name != "undetected"]
-        check_columns(*({name: getattr(of, name) for name in names} for of in (reported, plainly)))
+        frame, state = tracker._next_frame(config, site, state, detections)
+        if len(site.sensors) > 1 and count % 5 == 4:
+            check_step(config, site, state, frame.blinded())
+        state = check_step(config, site, state, frame)
+
+
+def check_step(config, site, state, frame):
+    """The state after it."""
+    assert compiled.has(frame)
+    fast = compiled.advance(native, config, site, state.density, frame)
+    # Whether it goes on from what the step before it left, or from the tables of that.
+    afresh = compiled.advance(native, config, site, replace(state.density), frame)
+    check_columns(tables(afresh), tables(fast))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(kernels, "native", None)
+        plain = tracker.advance(config, site, state.density, frame)
+        _, plainly = tracker.report(config, state, frame, fast)
+    dropped = plain.removed.undetected_dropped
+    assert fast.removed.undetected_dropped == pytest.approx(dropped, rel=1e-9, abs=1e-12)
+    assert replace(fast.removed, undetected_dropped=dropped) == plain.removed
+    check_columns(tables(fast), tables(plain))
+    after, reported, _ = tracker._after(config, site, state, frame)
+    names = [field.name for field in fields(Tracks) if field.name != "undetected"]
+    check_columns(*({name: getattr(of, name) for name in names} for of in (reported, plainly)))
+    return after
 
 
 def check_columns(fast, plain):
@@ -156,6 +176,14 @@ def test_the_compiled_step_is_the_plain_one(name, scenario):
     if name == "one table" and scenario == "duplicates":
         pytest.skip("one table over so many doubtful tracks has thousands of equal weights")
     check_steps(CONFIGS[name], load_scenario(scenario).record(seed=101), EVERYDAY)
+
+
+@pytest.mark.parametrize("scenario", ["lidar_radar", "sensor_failure"])
+@pytest.mark.parametrize("name", SEVERAL)
+def test_the_compiled_step_of_several_sensors_is_the_plain_one(name, scenario):
+    recording = load_scenario(scenario).record(seed=103)
+    in_order = sorted(recording.detections, key=lambda one: one.time)
+    check_steps(SEVERAL[name], _With(recording.site, in_order), 2 * EVERYDAY)
 
 
 @pytest.mark.slow

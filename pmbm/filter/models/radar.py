@@ -29,6 +29,10 @@ class RadarScan:
     radial_speed: FloatArray | None
     radial_variance: FloatArray
 
+    def columns(self) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray]:
+        """The fields, as the kernel takes them."""
+        return self.R, self.sight, self.radial_speed, self.radial_variance
+
     @staticmethod
     def of(sensor: Sensor, detections: Detections) -> RadarScan | None:
         """Of these detections; None where they measure positions alone, all alike."""
