@@ -819,6 +819,7 @@ NB_MODULE(_native, m) {
         .def("track_id", &pmbm::Held::track_id)
         .def("reported", &reported_of);
     m.doc() = "What is compiled; chosen by pmbm.kernels.";
+    m.attr("fingerprint") = PMBM_FINGERPRINT;
     m.def("k_best", &k_best, nb::arg("cost"), nb::arg("rows"), nb::arg("widths"), nb::arg("ks"));
     m.def("k_best_choices", &k_best_choices, nb::arg("row"), nb::arg("column"), nb::arg("cost"),
           nb::arg("first_row"), nb::arg("first_column"), nb::arg("ks"), nb::arg("margin"));

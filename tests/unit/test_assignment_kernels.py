@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pmbm.assignment import kernel
-from pmbm.kernels import TWINS
+from pmbm.kernels import TWINS, checked, fingerprint
 
 INF = np.inf
 
@@ -71,3 +72,19 @@ def test_the_environment_chooses(setting, expected):
         check=True,
     ).stdout
     assert (expected or kernel()) in out
+
+
+def test_what_was_compiled_from_other_sources_is_refused(native, monkeypatch, tmp_path):
+    """Also what is from before there was a fingerprint; where no sources are, nothing is known."""
+    if (own := fingerprint()) is not None:
+        assert native.fingerprint == own
+    (tmp_path / "module.cpp").write_text("int other;")
+    monkeypatch.setattr("pmbm.kernels._SOURCES", tmp_path)
+    old = SimpleNamespace(__file__="/lib/_native.so")
+    for module in (native, old):
+        with pytest.raises(ImportError, match="pip install -e") as error:
+            checked(module)
+        assert str(tmp_path) in str(error.value)
+        assert module.__file__ in str(error.value)
+    (tmp_path / "module.cpp").unlink()
+    assert checked(native) is native
