@@ -379,7 +379,7 @@ def report(worth: Mapping[str, LeftOut | None], title: str) -> str:
     lines = [f"{title}, each tracked by a fit to the other folds.", ""]
     header = [
         "class", "MOTA", "95 %", "IDF1", "HOTA", "best threshold's", "regret", "reported", "true",
-        "by sequence", "log loss",
+        "by sequence", "if honest", "log loss",
     ]  # fmt: skip
     rows = []
     for kind, found in worth.items():
@@ -399,13 +399,16 @@ def report(worth: Mapping[str, LeftOut | None], title: str) -> str:
                 _cell(one.reported),
                 _cell(one.true),
                 _cell(one.spread),
+                "–" if one.honest_spread is None else honest_cell(one.honest_spread),
                 _cell(one.log_loss),
             ]
         )
     lines += [markdown_table(header, rows, 1), ""]
     lines += [
         "reported: mean probability of what was reported; true: the share of it that is; by "
-        "sequence: root mean square of their difference.  Where reports say p, a share of",
+        "sequence: root mean square of their difference; if honest: what chance alone would make "
+        "of it, each track true as a whole with the probability that it reports, in half of all "
+        "cases and at most in 95 %.  Where reports say p, a share of",
         "",
     ]
     for kind, found in worth.items():
@@ -414,6 +417,11 @@ def report(worth: Mapping[str, LeftOut | None], title: str) -> str:
             pairs = (f"{p:.2f}: {q:.2f}" for p, q in zip(said, share, strict=True))
             lines.append(f"- {kind} is true: {', '.join(pairs)}")
     return "\n".join(lines) + "\n"
+
+
+def honest_cell(spread: tuple[float, float]) -> str:
+    """The median and the 95 % quantile of `honest_spread`."""
+    return f"{spread[0]:.3f}, <= {spread[1]:.3f}"
 
 
 def _cell(value: float | None, digits: int = 3) -> str:

@@ -344,4 +344,12 @@ OTHER_PLANTS = [
         by="tests/unit/test_filter_sensors.py::test_a_sensor_that_sees_nothing_changes_nothing",
         tests=("tests/unit/test_filter_sensors.py",),
     ),
+    Plant(
+        "rows of one track true by themselves",
+        "pmbm/metrics/benchmarks/operating_point.py",
+        "track = np.unique(one.id, return_inverse=True)[1]",
+        "track = np.arange(len(one.id))",
+        by="tests/unit/test_score_record.py::test_how_far_from_their_mean_honest_reports_come_by_chance",
+        tests=("tests/unit/test_score_record.py",),
+    ),
 ]

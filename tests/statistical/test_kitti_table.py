@@ -10,7 +10,7 @@ import pytest
 
 from pmbm.cli import main
 from pmbm.cli.dataset_scores import rule_of, score_run, score_sequence
-from pmbm.cli.fit_tracker import fits_of
+from pmbm.cli.fit_tracker import fits_of, honest_cell
 from pmbm.cli.left_out import folds_of, left_out, trackers_of
 from pmbm.cli.track import at_cost, class_trackers, preset, shipped_detectors
 from pmbm.datasets import open_dataset
@@ -110,7 +110,8 @@ def test_existence_is_honest_on_sequences_left_out(fits, worth, mode, verified, 
         verified(
             f"kitti_{detector}_{kind.lower()}_{mode}",
             f"{detector} {kind}, {mode}, left out: regret in MOTA, |reported - true|, its "
-            "root mean square by sequence" + ("" if not short else f"; missed: {', '.join(short)}"),
+            f"root mean square by sequence (honest reports: {honest_cell(one.honest_spread)})"
+            + ("" if not short else f"; missed: {', '.join(short)}"),
             " ".join(f"{value:.4f}" for value in reached.values()),
             " ".join(f"{bar:g}" for bar in BARS[kind].values()),
             not short,

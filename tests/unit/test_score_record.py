@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mark_builders import frame, street
+from scipy.stats import binom
 
 from pmbm.cli.detector import Detector, read_detectors
 from pmbm.errors import InputError
@@ -29,7 +30,12 @@ from pmbm.fitting.score_record import (
     rows,
     score_scale,
 )
-from pmbm.metrics.benchmarks.operating_point import operating_point, sweep
+from pmbm.metrics.benchmarks.operating_point import (
+    Sweep,
+    honest_spread,
+    operating_point,
+    sweep,
+)
 from pmbm.metrics.benchmarks.rules import ComparedSequence
 from pmbm.metrics.benchmarks.trackeval import SimilarityScore
 from pmbm.metrics.core.scene import pair_overlap
@@ -289,6 +295,38 @@ def test_an_operating_point_by_hand():
     said = np.log([0.9, 0.6, 0.9, 0.3])
     assert point.log_loss == pytest.approx(-said.mean())
     assert point.low is None
+    assert (point.spread, point.honest_spread) == (None, None)
+
+
+def reports(*tracks):
+    """One sequence's reports: of each track its rows, and the probability of each."""
+    score = np.concatenate([np.full(rows, p) for rows, p in tracks])
+    id = np.repeat(np.arange(len(tracks)), [rows for rows, _ in tracks])
+    return Sweep(np.array([0]), 1, score, np.ones(len(score), bool), id)
+
+
+def test_how_far_from_their_mean_honest_reports_come_by_chance():
+    """Tracks are true as a whole: what is drawn is few, however many rows they have."""
+    # True or not, half of all rows is the difference: nothing is left to chance.
+    assert honest_spread([reports((100, 0.5))] * 2) == pytest.approx((0.5, 0.5))
+    # One track of .9 in 1000 rows: .1 off in nine cases of ten, .9 in the tenth.
+    assert honest_spread([reports((1000, 0.9))]) == pytest.approx((0.1, 0.9))
+    # Its rows say .8 and 1: the track is true with their mean.
+    mixed = replace(reports((50, 0.8), (50, 1.0)), id=np.zeros(100, int))
+    assert honest_spread([mixed]) == pytest.approx((0.1, 0.9))
+    # Every row a track of its own: binomial, by scipy.
+    alone = replace(reports((400, 0.8)), id=np.arange(400))
+    off = np.abs(binom(400, 0.8).rvs(size=200_000, random_state=1) / 400 - 0.8)
+    assert honest_spread([alone]) == pytest.approx(tuple(np.quantile(off, [0.5, 0.95])), abs=0.003)
+
+
+def test_what_chance_makes_of_few_tracks_stands_beside_what_is_measured():
+    thresholds = np.array([0.0])
+    point = operating_point([reports((100, 0.9)), reports((100, 0.9)), reports((99, 0.1))],
+                            thresholds)  # fmt: skip
+    assert point.spread == pytest.approx(0.1)
+    # Of two tracks of .9 at least one is false in 19 % of all cases: then .64 or more.
+    assert point.honest_spread == pytest.approx((0.1, np.sqrt((0.9**2 + 0.1**2) / 2)))
 
 
 def test_a_detector_is_told_by_its_scores_and_their_number():

@@ -22,6 +22,8 @@ THRESHOLDS: Final = np.concatenate([np.arange(0.0, 0.96, 0.04), [0.97, 0.98, 0.9
 _ENOUGH: Final = 100
 """Rows from which on a sequence's share of true ones is known."""
 _SURE: Final = 1e-4
+_DRAWS: Final = 4000
+_HONEST: Final = (0.5, 0.95)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,13 +31,14 @@ class Sweep:
     """The counts of one sequence and class at every threshold.
 
     errors (T,) : false, missed and switched boxes among what scores above each threshold.
-    truths : boxes.  score (K,), true (K,) : of what was reported and counts.
+    truths : boxes.  score (K,), true (K,), id (K,) : of what was reported and counts.
     """
 
     errors: IntArray
     truths: int
     score: FloatArray
     true: BoolArray
+    id: IntArray
 
 
 def sweep(
@@ -60,9 +63,10 @@ def sweep(
         misses = len(counted.scene.truth) - len(matches)
         errors.append(misses + int((~hit).sum()) + int(matches.switch.sum()))
         if found is None:
-            found = counted.scene.tracks.score, hit, len(counted.scene.truth)
+            found = counted.scene.tracks, hit, len(counted.scene.truth)
     assert found is not None
-    return Sweep(np.array(errors), found[2], found[0], found[1])
+    reported, true, truths = found
+    return Sweep(np.array(errors), truths, reported.score, true, reported.id)
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,7 @@ class OperatingPoint:
     reported, true : mean probability of what was reported, and the share of it that is true; None
         where nothing was.
     spread : root mean square of their difference over sequences of 100 rows and more; None without.
+    honest_spread : what it would be by chance alone, `honest_spread`.
     log_loss : mean over what was reported.  reliability : in ten bins.
     """
 
@@ -86,6 +91,7 @@ class OperatingPoint:
     reported: float | None
     true: float | None
     spread: float | None
+    honest_spread: tuple[float, float] | None
     log_loss: float | None
     reliability: Reliability
 
@@ -108,7 +114,8 @@ def operating_point(
     score = np.concatenate([one.score for one in sweeps])
     true = np.concatenate([one.true for one in sweeps])
     p = score.clip(_SURE, 1 - _SURE)
-    off = [float(one.score.mean() - one.true.mean()) for one in sweeps if len(one.score) >= _ENOUGH]
+    known = [one for one in sweeps if len(one.score) >= _ENOUGH]
+    off = [float(one.score.mean() - one.true.mean()) for one in known]
     held = truths > 0
     low = high = None
     if held.sum() >= FEWEST:
@@ -125,6 +132,26 @@ def operating_point(
         reported=float(score.mean()) if len(score) else None,
         true=float(true.mean()) if len(score) else None,
         spread=float(np.sqrt(np.mean(np.square(off)))) if off else None,
+        honest_spread=honest_spread(known) if known else None,
         log_loss=float(-np.where(true, np.log(p), np.log1p(-p)).mean()) if len(p) else None,
         reliability=reliability(score.clip(0.0, 1.0), true),
     )
+
+
+def honest_spread(sweeps: Sequence[Sweep]) -> tuple[float, float]:
+    """Median and 95 % quantile of the root mean square, over sequences, of mean reported
+    probability less share true, if these very reports were honest: a few tracks make a share, so
+    chance alone takes it from its mean.
+
+    Each track is true in all its rows or in none, with the mean probability that they report.
+    """
+    rng = np.random.default_rng(0)
+    square = np.zeros(_DRAWS)
+    for one in sweeps:
+        track = np.unique(one.id, return_inverse=True)[1]
+        rows = np.bincount(track)
+        p = np.bincount(track, weights=one.score).clip(0.0, rows) / rows
+        true = rng.random((_DRAWS, len(rows))) < p
+        square += np.square((p - true) @ rows / rows.sum())
+    median, high = np.quantile(np.sqrt(square / len(sweeps)), _HONEST)
+    return float(median), float(high)
