@@ -11,7 +11,7 @@ from pmbm.filter.reduction import ReductionStats
 from pmbm.types import FloatArray
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Advanced:
     """The filter after a frame.
 
@@ -25,3 +25,7 @@ class Advanced:
     inside: FloatArray
     removed: ReductionStats
     seconds: Mapping[str, float]
+
+    def number_in_view(self, object_share: FloatArray) -> float:
+        """Expected number of objects in view, given P(object) (K,) of a source of each class."""
+        return float(self.marginal.objects(object_share) @ self.inside)

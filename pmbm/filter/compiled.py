@@ -6,7 +6,8 @@ The plain version is `advance` of `pmbm.filter.tracker`, box by box.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import cached_property
 from types import ModuleType
 from typing import Any, TypeAlias
 
@@ -14,12 +15,13 @@ import numpy as np
 
 from pmbm.filter import estimation
 from pmbm.filter.advanced import Advanced
-from pmbm.filter.config import PMBMConfig
+from pmbm.filter.config import PMBMConfig, Report
 from pmbm.filter.density import Density, Index, MixtureColumns
-from pmbm.filter.estimation import Marginals
+from pmbm.filter.estimation import Marginals, ReportedColumns
 from pmbm.filter.frame import Frame, detection_in, split_by_view, undetected_in
 from pmbm.filter.hypotheses import branching, clusters
 from pmbm.filter.hypotheses.weights import log_of
+from pmbm.filter.identity.inheritance import IdInheritance
 from pmbm.filter.identity.recycling import MOST_OF_ONE
 from pmbm.filter.models import occlusion, rays
 from pmbm.filter.models.birth import BroadBirth
@@ -29,7 +31,7 @@ from pmbm.filter.models.protocols import Detection
 from pmbm.filter.models.sensor import LEAST_VISIBLE_TO_BE_SEEN
 from pmbm.filter.models.view import View
 from pmbm.filter.reduction import ALIKE, AS_HEAVY, FEW, ReductionStats, with_more_undetected
-from pmbm.types import FloatArray, Site
+from pmbm.types import FloatArray, IntArray, Site
 
 _OCCLUSION = (
     occlusion.IGNORED_EXISTENCE,
@@ -64,18 +66,13 @@ def advance(
     else:
         undetected, births, dropped = _undetected(model, density, frame)
     given, radar, held = scan.detections, scan.radar, density.held
-    if held is None:
-        source, record = density.local.marks.source, density.local.record
-    else:
-        source, record = held.source(), held.record()
-    held, of_tracks, inside, removed, gated, seconds = native.step(
-        _made(_rules, model, site, given.sensor),
-        _made(_interval, model, site, given.sensor, frame.dt),
+    held, judged, removed, gated, seconds = native.step(
+        _made(native.Rules, _rules, model, site, given.sensor),
+        _made(native.Interval, _interval, model, site, given.sensor, frame.dt),
         undetected,
         births,
         _columns(density) if held is None else held,
-        model.scores.predicted(source, frame.dt),
-        model.scores.aged(record, frame.dt),
+        _remembered(model, density, frame.dt),
         density.detections_seen,
         (
             given.position,
@@ -100,7 +97,66 @@ def advance(
         after = with_more_undetected(after, aside, model.reduction, model.birth)
     counts = (*removed, dropped, gated)
     seconds_of = dict(zip(_PARTS, seconds, strict=True))
-    return Advanced(after, Marginals(*of_tracks), inside, ReductionStats(*counts), seconds_of)
+    return AdvancedByKernel(after, judged, ReductionStats(*counts), seconds_of)
+
+
+class AdvancedByKernel(Advanced):
+    """The filter after a compiled step: of what it says of tracks, arrays are made where somebody
+    looks."""
+
+    def __init__(
+        self,
+        density: Density,
+        judged: Any,
+        removed: ReductionStats,
+        seconds: Mapping[str, float],
+    ) -> None:
+        self.__dict__.update(density=density, judged=judged, removed=removed, seconds=seconds)
+
+    judged: Any
+
+    @cached_property
+    def marginal(self) -> Marginals:
+        return Marginals(*self.judged.marginals())
+
+    @cached_property
+    def inside(self) -> FloatArray:
+        found: FloatArray = self.judged.inside()
+        return found
+
+    def number_in_view(self, object_share: FloatArray) -> float:
+        number: float = self.judged.number_in_view(object_share)
+        return number
+
+    def reported_as_known(
+        self, object_share: FloatArray, rule: Report, ids: IdInheritance
+    ) -> tuple[IntArray, ReportedColumns, FloatArray] | None:
+        """Ids and columns of the tracks that are reported, and P(class) (R,K) of each, where all
+        have been reported before and none may inherit another's id; None otherwise."""
+        found = self.judged.reported_as_known(
+            object_share,
+            ids.reported_ids,
+            ids.candidate,
+            rule.above,
+            rule.exclusive,
+            estimation.WHOLE,
+        )
+        return None if found is None else (found[0], ReportedColumns(*found[1]), found[2])
+
+
+def _remembered(
+    model: PMBMConfig, density: Density, dt: float
+) -> tuple[FloatArray, FloatArray] | tuple[()]:
+    """P(class) and the running sums of local hypotheses, predicted; none where they stay as they
+    are and the kernel holds them."""
+    scores, held = model.scores, density.held
+    if held is None:
+        source, record = density.local.marks.source, density.local.record
+    elif scores.steady:
+        return ()
+    else:
+        source, record = held.source(), held.record()
+    return scores.predicted(source, dt), scores.aged(record, dt)
 
 
 _Births: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, bool] | tuple[()]
@@ -147,22 +203,23 @@ def _columns(density: Density) -> tuple[Any, ...]:
     )
 
 
-_MADE: dict[tuple[Any, ...], tuple[PMBMConfig, Site, tuple[Any, ...]]] = {}
+_MADE: dict[tuple[Any, ...], tuple[PMBMConfig, Site, Any]] = {}
 """What was made, by what of; that is kept beside it, so that its id names it alone."""
 _MOST_MADE = 256
 
 
 def _made(
-    make: Callable[..., tuple[Any, ...]], model: PMBMConfig, site: Site, *more: Any
-) -> tuple[Any, ...]:
-    """What is the same in step after step, made once: by identity, since to compare two models, or
-    hash one, takes longer than a step."""
-    key = make, id(model), id(site), *more
-    if key not in _MADE:
+    kind: type, values: Callable[..., tuple[Any, ...]], model: PMBMConfig, site: Site, *more: Any
+) -> Any:
+    """What is the same in step after step, made of these values once: by identity, since to compare
+    two models, or hash one, takes longer than a step."""
+    key = kind, id(model), id(site), *more
+    found = _MADE.get(key)
+    if found is None:
         if len(_MADE) >= _MOST_MADE:
             _MADE.clear()
-        _MADE[key] = model, site, make(model, site, *more)
-    return _MADE[key][2]
+        found = _MADE[key] = model, site, kind(values(model, site, *more))
+    return found[2]
 
 
 def _rules(model: PMBMConfig, site: Site, name: str) -> tuple[Any, ...]:

@@ -163,6 +163,10 @@ class Mixture:
             None if self.recycled_from is None else self.recycled_from.take(rows),
         )
 
+    def public(self) -> GaussianMixture:
+        """The same to whom is not of the filter; the arrays become read-only."""
+        return unchecked(GaussianMixture, log_weight=self.log_weight, mean=self.mean, cov=self.cov)
+
     @staticmethod
     def joined(*parts: Mixture) -> Mixture:
         return Mixture(
@@ -175,10 +179,6 @@ class Mixture:
     @staticmethod
     def empty() -> Mixture:
         return Mixture(np.zeros(0), np.zeros((0, STATE)), np.zeros((0, STATE, STATE)))
-
-    def public(self) -> GaussianMixture:
-        """The same to whom is not of the filter; the arrays become read-only."""
-        return unchecked(GaussianMixture, log_weight=self.log_weight, mean=self.mean, cov=self.cov)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -432,9 +432,16 @@ class Density:
     def with_undetected(self, undetected: Mixture) -> Density:
         return replace(self, undetected=undetected)
 
+    def public_undetected(self) -> GaussianMixture:
+        """The undetected objects to whom is not of the filter; the arrays become read-only."""
+        if "undetected" in self.__dict__:
+            return self.undetected.public()
+        log_weight, mean, cov = self.held.undetected()
+        return unchecked(GaussianMixture, log_weight=log_weight, mean=mean, cov=cov)
+
 
 _OF_HELD: dict[str, Callable[[Any], Any]] = {
-    "undetected": lambda held: Mixture.of_columns(held.undetected()),
+    "undetected": lambda held: Mixture.of_columns((*held.undetected(), held.recycled_from())),
     "local": lambda held: Locals(*(*held.local(), Marks(*held.marks()), held.record())),
     "hypotheses": lambda held: Globals(*held.hypotheses()),
     "track_id": lambda held: held.track_id(),

@@ -22,7 +22,7 @@ ALIKE = 1e-9
 STAY = 30.0
 """How many times likelier than what was reported last of a track something else must be to take its
 place.  Where two tracks may be exchanged, the scales tip with every detection."""
-_WHOLE = 1.5
+WHOLE = 1.5
 """A box this many times as large as another at its place is the whole of which that is a part."""
 
 
@@ -134,9 +134,7 @@ def reported_in(
         priority, if it is there more probably than not.
     """
     if density.held is not None and kernels.native is not None:
-        rows, columns, source = density.held.reported(
-            best, exists, inside, above, exclusive, _WHOLE
-        )
+        rows, columns, source = density.held.reported(best, exists, inside, above, exclusive, WHOLE)
     else:
         local = density.local
         rows, columns, source = _reported(
@@ -151,7 +149,7 @@ def reported_in(
             local.marks.source,
             above,
             exclusive,
-            _WHOLE,
+            WHOLE,
         )
     return rows, ReportedColumns(*columns), source
 
@@ -200,7 +198,7 @@ def suppress_overlaps(position: FloatArray, box: FloatArray, order: Index, sure:
     position (N,2); box (N,5) : z, length, width, height, yaw; order (N,) : the rows by falling
     priority, of which the first `sure` may suppress others.
     """
-    return _suppress_overlaps(position, box, order, sure, _WHOLE)
+    return _suppress_overlaps(position, box, order, sure, WHOLE)
 
 
 @twin("suppress_overlaps")

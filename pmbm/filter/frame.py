@@ -33,7 +33,7 @@ class Frame:
     sensor : the model of the sensor that it is of; detection : its P_D.
     view : where that looks.  region : where objects are followed: the same, of a single sensor.
     scan : what it measured.
-    transition : how objects moved and lived on since.
+    model : of the world.
     births : objects that appeared since.  births_memory : of the birth model, after them.
     """
 
@@ -44,9 +44,16 @@ class Frame:
     view: View
     region: View
     scan: Scan
-    transition: Transition
+    model: PMBMConfig
     births: Mixture
     births_memory: Any
+
+    @property
+    def transition(self) -> Transition:
+        """The transition of objects, which moved and lived on, since the frame before."""
+        model, dt = self.model, self.dt
+        F, Q = model.motion.transition(dt)
+        return Transition(F, Q, model.survival.over(dt), dt, self.detection, model.scores)
 
     @property
     def partial(self) -> bool:
@@ -95,8 +102,6 @@ def form_frame(
     births, memory = model.birth.births(
         site, region, None if last is None else dt, model.survival, births_memory
     )
-    F, Q = model.motion.transition(dt)
-    survival = model.survival.over(dt)
     return Frame(
         time=detections.time,
         dt=dt,
@@ -109,7 +114,7 @@ def form_frame(
             detection.confidence(scored.detections),
             RadarScan.of(sensor, scored.detections),
         ),
-        transition=Transition(F, Q, survival, dt, detection, model.scores),
+        model=model,
         births=births,
         births_memory=memory,
     )

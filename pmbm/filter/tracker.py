@@ -15,9 +15,16 @@ from pmbm.filter import compiled
 from pmbm.filter.advanced import Advanced
 from pmbm.filter.association import associate
 from pmbm.filter.blindness import Blindness, log_chance_of_none
+from pmbm.filter.compiled import AdvancedByKernel
 from pmbm.filter.config import PMBMConfig
 from pmbm.filter.density import Density, Locals, Mixture
-from pmbm.filter.estimation import Marginals, in_view, marginals, reported_in
+from pmbm.filter.estimation import (
+    Marginals,
+    ReportedColumns,
+    in_view,
+    marginals,
+    reported_in,
+)
 from pmbm.filter.explain.inspection import Inspection, inspect
 from pmbm.filter.frame import Frame, form_frame, split_by_view, undetected_in
 from pmbm.filter.identity.inheritance import IdInheritance
@@ -30,7 +37,7 @@ from pmbm.filter.prediction import predict
 from pmbm.filter.reduction import ReductionStats, reduce, with_more_undetected
 from pmbm.filter.registration import Registration
 from pmbm.filter.update import update
-from pmbm.types import Detections, FloatArray, Site, Tracks, unchecked
+from pmbm.types import Detections, FloatArray, IntArray, Site, Tracks, unchecked
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -218,23 +225,19 @@ def report(
 ) -> tuple[State, Tracks]:
     """The state after the frame, and the tracks that probably exist and are probably in view.  One
     that has left the view is kept in mind, and reported again where it comes back."""
-    density, marginal, inside = advanced.density, advanced.marginal, advanced.inside
     before = state.before if frame.time == state.time else (state.scene, frame.dt)
-    scene = model.scores.observed(before[0], marginal, inside, before[1])
-    exists = objects(model, scene, marginal, density, frame.region)
-    reported, columns, source = reported_in(
-        density,
-        marginal.best,
-        exists,
-        inside,
-        above=model.report.above,
-        exclusive=model.report.exclusive,
-    )
-    ids, density = state.ids.after(density, marginal, exists, reported)
+    scene = model.scores.observed(before[0], advanced.number_in_view, before[1])
+    density, ids, named = advanced.density, state.ids, None
+    if isinstance(advanced, AdvancedByKernel) and kernels.native and not model.scores.sums:
+        share = model.scores.object_share(scene)
+        named = advanced.reported_as_known(share, model.report, ids)
+    if named is None:
+        density, ids, named = _named(model, scene, ids, advanced, frame.region)
+    track_id, columns, source = named
     tracks = unchecked(
         Tracks,
         time=frame.time,
-        id=density.track_id[reported],
+        id=track_id,
         position=columns.position,
         size=columns.size,
         yaw=columns.yaw,
@@ -242,9 +245,28 @@ def report(
         score=columns.score,
         label=model.scores.labels(columns.label, source),
         covariance=columns.covariance,
-        undetected=density.undetected.public(),
+        undetected=density.public_undetected(),
     )
     return State(frame.time, density, frame.births_memory, scene, ids, before), tracks
+
+
+def _named(
+    model: PMBMConfig, scene: SceneDensity, ids: IdInheritance, advanced: Advanced, region: View
+) -> tuple[Density, IdInheritance, tuple[IntArray, ReportedColumns, FloatArray]]:
+    """The density, with the ids that its tracks go by; which may inherit which; and ids and columns
+    of those that are reported, with P(class) (R,K) of each."""
+    density, marginal = advanced.density, advanced.marginal
+    exists = objects(model, scene, marginal, density, region)
+    reported, columns, source = reported_in(
+        density,
+        marginal.best,
+        exists,
+        advanced.inside,
+        above=model.report.above,
+        exclusive=model.report.exclusive,
+    )
+    ids, density = ids.after(density, marginal, exists, reported)
+    return density, ids, (density.track_id[reported], columns, source)
 
 
 def objects(

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "arrays.hpp"
+#include "report.hpp"
 #include "step.hpp"
 
 namespace pmbm {
@@ -21,6 +22,7 @@ class Held {
           sums_(before.sums), sensors_(sensors) {}
 
     const Step& step() const { return *step_; }
+    std::size_t classes() const { return classes_; }
     std::int64_t settled() const { return step_->settled; }
 
     MixtureView mixture() const {
@@ -31,32 +33,35 @@ class Held {
                 any ? ppp.recycled.data() : nullptr, ppp.size()};
     }
 
-    // P(class) (H,K) and running sums (H,R), predicted, come from elsewhere.
-    LocalsView locals(const double* source, const double* record) const {
+    // source (H,K), record (H,R) : P(class) and running sums, predicted; null, as they are.
+    LocalsView locals(const double* source = nullptr, const double* record = nullptr) const {
         const auto& s = *step_;
         return {s.track.data(),   s.existence.data(),
                 s.mean.data(),    s.cov.data(),
                 s.box.data(),     s.label.data(),
                 s.newest.data(),  reinterpret_cast<const bool*>(s.shown.data()),
-                s.history.data(), source,
+                s.history.data(), source ? source : s.source.data(),
                 s.confidence.data(), s.detectable.data(),
-                record,           s.existence.size(),
+                record ? record : s.record.data(), s.existence.size(),
                 history_,         classes_,
                 sums_};
     }
 
     TableView table() const { return view_of(step_->hypotheses); }
 
-    // The columns of `Mixture`.
+    // The columns of `GaussianMixture`.
     nb::tuple undetected() const {
         const auto& ppp = step_->undetected;
         const auto P = ppp.size();
-        nb::object recycled = nb::none();
-        if (ppp.any_recycled()) {
-            recycled = nb::make_tuple(column(ppp.track), column(ppp.share), column(ppp.recycled));
-        }
         return nb::make_tuple(column(ppp.log_weight), array(ppp.mean, {P, 4}),
-                              array(ppp.cov, {P, 4, 4}), recycled);
+                              array(ppp.cov, {P, 4, 4}));
+    }
+
+    // Those of `RecycledFrom`, or None.
+    nb::object recycled_from() const {
+        const auto& ppp = step_->undetected;
+        if (!ppp.any_recycled()) return nb::none();
+        return nb::make_tuple(column(ppp.track), column(ppp.share), column(ppp.recycled));
     }
 
     // Those of `Locals`, but for its marks and record.
@@ -108,6 +113,51 @@ class Held {
 
     std::shared_ptr<const Step> step_;
     std::size_t history_, classes_, sums_, sensors_;
+};
+
+// The marginals of the tracks that a step left, for what is reported of them.
+class Judged {
+ public:
+    Judged(Held held, TrackMarginals&& tracks)
+        : held_(std::move(held)),
+          tracks_(std::make_shared<const TrackMarginals>(std::move(tracks))) {}
+
+    const Held& held() const { return held_; }
+
+    // P(object) (T,), given that (K,) of a source of each class.
+    Floats objects(const double* share) const {
+        return pmbm::objects(tracks_->of_class.data(), tracks_->existence.data(),
+                             tracks_->existence.size(), share, held_.classes());
+    }
+
+    double number_in_view(const double* share) const {
+        const auto exists = objects(share);
+        double number = 0;
+        for (std::size_t t = 0; t < exists.size(); ++t) number += exists[t] * tracks_->inside[t];
+        return number;
+    }
+
+    // exists (T,) : that each is an object.
+    Candidates candidates(const Floats& exists) const {
+        return {held_.step().track_id.data(), tracks_->best.data(), exists.data(),
+                tracks_->inside.data(), exists.size()};
+    }
+
+    // The columns of `Marginals`.
+    nb::tuple marginals() const {
+        const auto T = tracks_->existence.size();
+        return nb::make_tuple(array_over(tracks_->existence, tracks_, {T}),
+                              array_over(tracks_->of_class, tracks_, {T, held_.classes()}),
+                              array_over(tracks_->best, tracks_, {T}));
+    }
+
+    nb::object inside() const {
+        return array_over(tracks_->inside, tracks_, {tracks_->inside.size()});
+    }
+
+ private:
+    Held held_;
+    std::shared_ptr<const TrackMarginals> tracks_;
 };
 
 }  // namespace pmbm

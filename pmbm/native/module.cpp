@@ -160,11 +160,10 @@ Output<std::int64_t> suppress_overlaps(Table<double> position, Table<double> box
         pmbm::suppress_overlaps(position.data(), box.data(), order.data(), order.size(), sure, larger));
 }
 
-// The rows of the tracks, and the columns of `ReportedColumns`.
-nb::tuple reported_columns(const pmbm::Candidates& track, const double* mean, const double* cov,
-                           const double* box, const std::int8_t* label, const double* source,
-                           std::size_t classes, double above, bool exclusive, double whole) {
-    auto rows = pmbm::reported(track, mean, box, above, exclusive, whole);
+// The columns of `ReportedColumns` of the tracks in these rows, and their P(class) (n,K).
+nb::tuple reported_columns(const pmbm::Candidates& track, const pmbm::Ints& rows,
+                           const double* mean, const double* cov, const double* box,
+                           const std::int8_t* label, const double* source, std::size_t classes) {
     const auto n = rows.size();
     std::vector<double> position, size, yaw, velocity, score, covariance, sources;
     std::vector<std::int8_t> labels;
@@ -187,7 +186,6 @@ nb::tuple reported_columns(const pmbm::Candidates& track, const double* mean, co
         sources.insert(sources.end(), source + own, source + own + static_cast<std::ptrdiff_t>(classes));
     }
     return nb::make_tuple(
-        hand_over(std::move(rows)),
         nb::make_tuple(rows_of<3>(std::move(position)), rows_of<3>(std::move(size)),
                        hand_over(std::move(yaw)), rows_of<2>(std::move(velocity)),
                        hand_over(std::move(score)), hand_over(std::move(labels)),
@@ -199,21 +197,49 @@ nb::tuple reported(Input<std::int64_t> track_id, Input<std::int64_t> best, Input
                    Input<double> inside, Table<double> mean, Table<double> cov, Table<double> box,
                    Input<std::int8_t> label, Table<double> source, double above, bool exclusive,
                    double whole) {
-    return reported_columns(
-        {track_id.data(), best.data(), exists.data(), inside.data(), exists.size()}, mean.data(),
-        cov.data(), box.data(), label.data(), source.data(), source.shape(1), above, exclusive,
-        whole);
+    const pmbm::Candidates track{track_id.data(), best.data(), exists.data(), inside.data(),
+                                 exists.size()};
+    auto rows = pmbm::reported(track, mean.data(), box.data(), above, exclusive, whole);
+    auto columns = reported_columns(track, rows, mean.data(), cov.data(), box.data(), label.data(),
+                                    source.data(), source.shape(1));
+    return nb::make_tuple(hand_over(std::move(rows)), columns[0], columns[1]);
+}
+
+nb::tuple reported_columns(const pmbm::Candidates& track, const pmbm::Ints& rows,
+                           const pmbm::LocalsView& local) {
+    return reported_columns(track, rows, local.mean, local.cov, local.box, local.label,
+                            local.source, local.classes);
 }
 
 // The same of the tables of a step.
 nb::tuple reported_of(const pmbm::Held& held, Input<std::int64_t> best, Input<double> exists,
                       Input<double> inside, double above, bool exclusive, double whole) {
-    const auto& step = held.step();
-    const auto view = held.locals(step.source.data(), step.record.data());
-    return reported_columns(
-        {step.track_id.data(), best.data(), exists.data(), inside.data(), exists.size()},
-        view.mean, view.cov, view.box, view.label, view.source, view.classes, above, exclusive,
-        whole);
+    const auto local = held.locals();
+    const pmbm::Candidates track{held.step().track_id.data(), best.data(), exists.data(),
+                                 inside.data(), exists.size()};
+    auto rows = pmbm::reported(track, local.mean, local.box, above, exclusive, whole);
+    auto columns = reported_columns(track, rows, local);
+    return nb::make_tuple(hand_over(std::move(rows)), columns[0], columns[1]);
+}
+
+// Ids, columns and P(class) of the tracks that are reported, if all have been before and none may
+// inherit another's id; None otherwise.
+nb::object reported_as_known(const pmbm::Judged& judged, Input<double> object_share,
+                             Input<std::int64_t> reported_ids, Input<std::int64_t> candidate,
+                             double above, bool exclusive, double whole) {
+    const auto exists = judged.objects(object_share.data());
+    const auto track = judged.candidates(exists);
+    const auto local = judged.held().locals();
+    const auto rows = pmbm::reported(track, local.mean, local.box, above, exclusive, whole);
+    pmbm::Ints ids;
+    ids.reserve(rows.size());
+    for (const auto row : rows) ids.push_back(track.track_id[row]);
+    if (!pmbm::known_as_they_are(ids, reported_ids.data(), reported_ids.size(), candidate.data(),
+                                 candidate.size())) {
+        return nb::none();
+    }
+    auto columns = reported_columns(track, rows, local);
+    return nb::make_tuple(hand_over(std::move(ids)), columns[0], columns[1]);
 }
 
 Output<double> read_off(Input<double> x, Input<double> knot, Input<double> value, double base,
@@ -237,23 +263,14 @@ Output<double> read_off(Input<double> x, Input<double> knot, Input<double> value
 
 // (T,) the probability of being an object, of existence (T,) and that of each class (T,K).
 Output<double> objects(Input<double> of_class, Input<double> existence, Input<double> share) {
-    const auto T = existence.size(), K = share.size();
-    std::vector<double> found(T, 0.0);
-    for (std::size_t t = 0; t < T; ++t) {
-        for (std::size_t k = 0; k < K; ++k) found[t] += of_class.data()[K * t + k] * share.data()[k];
-        found[t] = std::min(found[t], existence.data()[t]);
-    }
-    return hand_over(std::move(found));
+    return hand_over(pmbm::objects(of_class.data(), existence.data(), existence.size(),
+                                   share.data(), share.size()));
 }
 
 bool known_as_they_are(Input<std::int64_t> ids, Input<std::int64_t> reported,
                        Input<std::int64_t> candidate) {
-    const auto among = [](std::int64_t id, const Input<std::int64_t>& rising) {
-        return std::binary_search(rising.data(), rising.data() + rising.size(), id);
-    };
-    return std::all_of(ids.data(), ids.data() + ids.size(), [&](std::int64_t id) {
-        return among(id, reported) && !among(id, candidate);
-    });
+    return pmbm::known_as_they_are({ids.data(), ids.data() + ids.size()}, reported.data(),
+                                   reported.size(), candidate.data(), candidate.size());
 }
 
 Output<double> level_evidence(Input<double> log_odds, Input<double> level, double scatter,
@@ -508,7 +525,7 @@ class Values {
     Py_ssize_t at_ = 0;
 };
 
-// What does not change from step to step, in the order of _rules() of compiled.py.
+// What does not change from step to step, in the order of _rules() of compiled.py; made once.
 struct Rules {
     Input<double> R, corner, nodes, cos, sin;
     Input<std::int64_t> corner_start;
@@ -718,13 +735,20 @@ struct DensityColumns {
 
 // One step of the filter; pmbm/filter/compiled.py says what goes in and what comes out.  It goes on
 // from what a step before it left, or from columns; `ppp` is empty where that is what was left too.
-nb::tuple step(nb::handle rules, nb::handle interval, nb::handle ppp, nb::handle births,
-               nb::handle before, Input<double> source, Input<double> record,
-               std::int64_t detections_seen, nb::handle scan, nb::handle radar, Input<double> pose,
-               Input<double> region, std::size_t looking, bool blind, double detection_undetected) {
-    Rules how(rules);
-    const Interval since(interval);
+nb::tuple step(const Rules& rules, const Interval& since, nb::handle ppp, nb::handle births,
+               nb::handle before, nb::handle remembered, std::int64_t detections_seen,
+               nb::handle scan, nb::handle radar, Input<double> pose, Input<double> region,
+               std::size_t looking, bool blind, double detection_undetected) {
+    auto sensor = rules.sensor;
+    auto how = rules.step;
     const BirthsColumns born(births);
+    // P(class) and running sums, predicted; or nothing, as they are.
+    Input<double> source, record;
+    Values predicted(remembered);
+    if (predicted.left()) {
+        source = predicted.numbers();
+        record = predicted.numbers();
+    }
     const auto births_view = born.view();
     const ScanColumns seen(scan);
     const RadarColumns by_radar(radar);
@@ -743,17 +767,17 @@ nb::tuple step(nb::handle rules, nb::handle interval, nb::handle ppp, nb::handle
     const auto table = held ? held->table()
                             : view(given->cluster, given->log_weight, given->start, given->member);
 
-    how.sensor.view.pose = pose.data();
-    how.sensor.region.pose = region.data();
-    how.sensor.laws = since.laws.data();
-    how.sensor.sensors = since.laws.size();
-    how.sensor.looking = looking;
-    how.sensor.blind = blind;
-    how.sensor.detection_undetected = detection_undetected;
-    how.step.F = since.F.data();
-    how.step.Q = since.Q.data();
-    how.step.survival = since.survival;
-    how.step.log_survival = since.log_survival;
+    sensor.view.pose = pose.data();
+    sensor.region.pose = region.data();
+    sensor.laws = since.laws.data();
+    sensor.sensors = since.laws.size();
+    sensor.looking = looking;
+    sensor.blind = blind;
+    sensor.detection_undetected = detection_undetected;
+    how.F = since.F.data();
+    how.Q = since.Q.data();
+    how.survival = since.survival;
+    how.log_survival = since.log_survival;
 
     auto out = std::make_shared<pmbm::Step>();
     {
@@ -763,24 +787,19 @@ nb::tuple step(nb::handle rules, nb::handle interval, nb::handle ppp, nb::handle
             local, table, held ? held->step().track_id.data() : given->track_id.data(),
             held ? held->step().track_id.size() : given->track_id.size(), detections_seen,
             held ? held->settled() : given->settled, seen.view(),
-            by_radar.given ? &radar_view : nullptr, how.sensor, how.step, how.occlusion);
+            by_radar.given ? &radar_view : nullptr, sensor, how, rules.occlusion);
         *out = stepper.run();
     }
     if (out->existence.size() > pmbm::kMany) pmbm::trim_heap();
-    const auto tracks = out->track_id.size();
-    const auto marginals =
-        nb::make_tuple(hand_over(std::move(out->track_existence)),
-                       array_of(std::move(out->of_class), {tracks, local.classes}),
-                       hand_over(std::move(out->best)));
-    const auto inside = hand_over(std::move(out->inside));
     const auto removed = nb::make_tuple(
         out->pruned + out->unlikely, out->capped, out->merged, out->recycled, out->tracks_capped,
         out->undetected_pruned, out->undetected_merged, out->undetected_capped);
     const auto apart = static_cast<std::int64_t>(local.count * seen.label.size()) - out->pairs;
     const auto seconds = nb::make_tuple(out->seconds[0], out->seconds[1], out->seconds[2],
                                         out->seconds[3]);
-    return nb::make_tuple(pmbm::Held(std::move(out), local, since.laws.size()), marginals, inside,
-                          removed, apart, seconds);
+    auto tracks = std::move(out->tracks);
+    pmbm::Held left(std::move(out), local, since.laws.size());
+    return nb::make_tuple(left, pmbm::Judged(left, std::move(tracks)), removed, apart, seconds);
 }
 
 nb::tuple neighbours(Table<double> along, Table<double> aside, Input<bool> seen,
@@ -811,6 +830,7 @@ NB_MODULE(_native, m) {
     nb::class_<pmbm::Held>(m, "Held")
         .def_prop_ro("settled", &pmbm::Held::settled)
         .def("undetected", &pmbm::Held::undetected)
+        .def("recycled_from", &pmbm::Held::recycled_from)
         .def("local", &pmbm::Held::local)
         .def("marks", &pmbm::Held::marks)
         .def("source", &pmbm::Held::source)
@@ -818,6 +838,16 @@ NB_MODULE(_native, m) {
         .def("hypotheses", &pmbm::Held::hypotheses)
         .def("track_id", &pmbm::Held::track_id)
         .def("reported", &reported_of);
+    nb::class_<pmbm::Judged>(m, "Judged")
+        .def("marginals", &pmbm::Judged::marginals)
+        .def("inside", &pmbm::Judged::inside)
+        .def("number_in_view",
+             [](const pmbm::Judged& judged, Input<double> object_share) {
+                 return judged.number_in_view(object_share.data());
+             })
+        .def("reported_as_known", &reported_as_known);
+    nb::class_<Rules>(m, "Rules").def(nb::init<nb::handle>());
+    nb::class_<Interval>(m, "Interval").def(nb::init<nb::handle>());
     m.doc() = "What is compiled; chosen by pmbm.kernels.";
     m.attr("fingerprint") = PMBM_FINGERPRINT;
     m.def("k_best", &k_best, nb::arg("cost"), nb::arg("rows"), nb::arg("widths"), nb::arg("ks"));

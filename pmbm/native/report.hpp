@@ -19,6 +19,36 @@ struct Candidates {
     std::size_t count;
 };
 
+// P(object) (T,) of existence (T,) and that of sources of each class (T,K), given P(object) (K,) of
+// these.
+inline Floats objects(const double* of_class, const double* existence, std::size_t tracks,
+                      const double* share, std::size_t classes) {
+    Floats found(tracks, 0.0);
+    for (std::size_t t = 0; t < tracks; ++t) {
+        for (std::size_t k = 0; k < classes; ++k) found[t] += of_class[classes * t + k] * share[k];
+        found[t] = std::min(found[t], existence[t]);
+    }
+    return found;
+}
+
+// Whether tracks of these ids have all been reported before, and none may inherit another: reported,
+// candidate : ids, rising.  The plain version is _known_as_they_are() of inheritance.py.
+inline bool known_as_they_are(const Ints& ids, const std::int64_t* reported, std::size_t reports,
+                              const std::int64_t* candidate, std::size_t candidates) {
+    // Ids mostly rise too: what follows the one found last is looked at first.
+    std::size_t next = 0;
+    for (const auto id : ids) {
+        if (next == reports || reported[next] != id) {
+            next = static_cast<std::size_t>(std::lower_bound(reported, reported + reports, id) -
+                                            reported);
+            if (next == reports || reported[next] != id) return false;
+        }
+        ++next;
+        if (std::binary_search(candidate, candidate + candidates, id)) return false;
+    }
+    return true;
+}
+
 // The tracks that probably exist and are in view; `exclusive`: but one of those at one place.
 inline Ints reported(const Candidates& track, const double* mean, const double* box, double above,
                      bool exclusive, double whole) {

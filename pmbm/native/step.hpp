@@ -90,9 +90,15 @@ struct StepRules {
     double most_of_one;
 };
 
-// What a step leaves: the tables of the density; of its tracks existence (T,), that of sources of
-// each class (T,K), the rows of the likeliest local hypotheses (T,) and how probably these are where
-// objects are followed (T,); and counts of what was removed.
+// Of the tracks that a step leaves: existence (T,), that of sources of each class (T,K), how probably
+// the likeliest local hypotheses are where objects are followed (T,), and the rows of these (T,).
+struct TrackMarginals {
+    Column<double> existence, of_class, inside;
+    Column<std::int64_t> best;
+};
+
+// What a step leaves: the tables of the density, the marginals of its tracks, and counts of what was
+// removed.
 struct Step {
     Mixture undetected;
     Ints track;
@@ -105,8 +111,7 @@ struct Step {
     Table hypotheses;
     Ints track_id;
     std::int64_t settled = 0;
-    Floats track_existence, of_class, inside;
-    Ints best;
+    TrackMarginals tracks;
     std::int64_t unlikely = 0, pairs = 0, pruned = 0, capped = 0, merged = 0, recycled = 0,
                  tracks_capped = 0, undetected_pruned = 0, undetected_merged = 0,
                  undetected_capped = 0;
@@ -708,30 +713,32 @@ class Stepper {
     // What a report asks of the tracks: in_view() and Marginals.shown_as() of estimation.py.
     void judge() {
         const auto H = out_.existence.size(), T = out_.track_id.size(), K = local_.classes;
+        auto& of = out_.tracks;
         auto mass = probability(view_of(out_.hypotheses), static_cast<std::int64_t>(H));
-        out_.track_existence.assign(T, 0.0);
-        out_.of_class.assign(T * K, 0.0);
-        out_.inside.resize(T);
+        of.existence.assign(T, 0.0);
+        of.of_class.assign(T * K, 0.0);
+        of.inside.resize(T);
         for (std::size_t h = 0; h < H; ++h) {
             mass[h] *= out_.existence[h];
             const auto t = static_cast<std::size_t>(out_.track[h]);
-            out_.track_existence[t] += mass[h];
+            of.existence[t] += mass[h];
             for (std::size_t k = 0; k < K; ++k) {
-                out_.of_class[K * t + k] += mass[h] * out_.source[K * h + k];
+                of.of_class[K * t + k] += mass[h] * out_.source[K * h + k];
             }
             if (out_.shown[h].value) mass[h] *= rules_.stay;
         }
-        for (auto& r : out_.track_existence) r = std::min(r, 1.0);
-        out_.best = likeliest(out_.track.data(), out_.newest.data(), mass.data(), H, T,
-                              rules_.as_likely);
+        for (auto& r : of.existence) r = std::min(r, 1.0);
+        const auto best = likeliest(out_.track.data(), out_.newest.data(), mass.data(), H, T,
+                                    rules_.as_likely);
+        of.best.assign(best.begin(), best.end());
         for (std::size_t t = 0; t < T; ++t) {
-            const auto h = static_cast<std::size_t>(out_.best[t]);
+            const auto h = static_cast<std::size_t>(best[t]);
             share_inside(out_.mean.data() + 4 * h, out_.cov.data() + 16 * h, 1, sensor_.region,
-                         &out_.inside[t]);
+                         &of.inside[t]);
         }
         for (std::size_t h = 0; h < H; ++h) {
-            const auto best = out_.best[static_cast<std::size_t>(out_.track[h])];
-            out_.shown[h] = {out_.newest[h] == out_.newest[static_cast<std::size_t>(best)]};
+            const auto shown = best[static_cast<std::size_t>(out_.track[h])];
+            out_.shown[h] = {out_.newest[h] == out_.newest[static_cast<std::size_t>(shown)]};
         }
     }
 

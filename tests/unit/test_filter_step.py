@@ -121,7 +121,7 @@ def tables(advanced):
         (table, ("cluster", "log_weight", "start", "member")),
         (density, ("track_id", "detections_seen", "undetected_settled")),
     ):
-        kind = type(part).__name__
+        kind = "Advanced" if part is advanced else type(part).__name__
         found |= {f"{kind}.{name}": np.asarray(getattr(part, name)) for name in names}
     return found
 

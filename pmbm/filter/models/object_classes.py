@@ -9,8 +9,8 @@ reported is the probability of existing and of not being persistent clutter.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,6 @@ from pmbm.filter.models.scores import NoRecord, ScoredDetections
 from pmbm.score import ScoreModel
 from pmbm.types import Detections, FloatArray, Label
 from pmbm.validation import Checker, equal_fields, hash_of_fields
-
-if TYPE_CHECKING:
-    from pmbm.filter.estimation import Marginals
 
 _LABELS = len(Label)
 _CLASSES = 2 * _LABELS
@@ -127,7 +124,7 @@ class ObjectClasses(NoRecord):
         return np.repeat([1.0, 0.0], _LABELS)
 
     def observed(
-        self, scene: SceneDensity, marginal: Marginals, in_view: FloatArray, dt: float
+        self, scene: SceneDensity, in_view: Callable[[FloatArray], float], dt: float
     ) -> SceneDensity:
         return scene
 

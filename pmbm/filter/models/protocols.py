@@ -10,7 +10,7 @@ A new member is one file with a frozen dataclass, and one line below, whose name
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pmbm.filter.density import Marks, Mixture
-    from pmbm.filter.estimation import Marginals
     from pmbm.filter.models.motion import Survival
     from pmbm.filter.models.scores import ScoredDetections
     from pmbm.filter.models.view import View
@@ -144,6 +143,10 @@ class Scores(Protocol):
     def read(self, detections: Detections, scene: SceneDensity) -> ScoredDetections:
         """The detections that may come from the tracker's objects, and what they say."""
 
+    @property
+    def steady(self) -> bool:
+        """Whether P(class) and records stay as they are from one frame to the next."""
+
     def predicted(self, source: FloatArray, dt: float) -> FloatArray:
         """P(class) (H,K) `dt` seconds later."""
 
@@ -169,10 +172,10 @@ class Scores(Protocol):
         evidence of all before it."""
 
     def observed(
-        self, scene: SceneDensity, marginal: Marginals, in_view: FloatArray, dt: float
+        self, scene: SceneDensity, in_view: Callable[[FloatArray], float], dt: float
     ) -> SceneDensity:
-        """The scene after `dt` seconds, at whose end tracks are in view with these (T,)
-        probabilities."""
+        """The scene after `dt` seconds; `in_view` : the expected number of objects in view at their
+        end, given P(object) (K,) of a source of each class."""
 
     def labels(self, last: NDArray[np.int8], source: FloatArray) -> NDArray[np.int8]:
         """(H,) the likeliest labels of sources of these classes (H,K), whose last detections had

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,6 @@ from pmbm.kernels import twin
 from pmbm.score import Calibration, ScoreModel
 from pmbm.types import Detections, FloatArray, Label
 from pmbm.validation import Checker, equal_fields, hash_of_fields
-
-if TYPE_CHECKING:
-    from pmbm.filter.estimation import Marginals
 
 _SUREST = 4.0
 """Log-odds beyond which a single score says no more."""
@@ -136,6 +133,10 @@ class ScoreLevels(NoRecord):
     def labels(self, last: NDArray[np.int8], source: FloatArray) -> NDArray[np.int8]:
         return last
 
+    @property
+    def steady(self) -> bool:
+        return self.drift == 0
+
     def predicted(self, source: FloatArray, dt: float) -> FloatArray:
         """Shares of levels (H,L) after `dt` seconds, from those before.
 
@@ -175,12 +176,11 @@ class ScoreLevels(NoRecord):
         return 1 - self.object
 
     def observed(
-        self, scene: SceneDensity, marginal: Marginals, in_view: FloatArray, dt: float
+        self, scene: SceneDensity, in_view: Callable[[FloatArray], float], dt: float
     ) -> SceneDensity:
         if self.mean_objects is None:
             return scene
-        number = float(marginal.objects(self.object) @ in_view)
-        return scene.after(dt, number, _LOOKED * self.prior_seconds)
+        return scene.after(dt, in_view(self.object), _LOOKED * self.prior_seconds)
 
     def birth_after(self, scene: SceneDensity, distance: FloatArray | None) -> FloatArray:
         """(L,) or, `distance` (M,) from the sensor, (M,L) new sources of each level, in all that

@@ -136,6 +136,10 @@ class ScoreRecord(OneClass):
         return np.where(near, height, 0.0).max(axis=1)
 
     @property
+    def steady(self) -> bool:
+        return False
+
+    @property
     def sums(self) -> int:
         return 5
 

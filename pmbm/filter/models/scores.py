@@ -3,8 +3,8 @@ Sec. 2.6; the paper names the ideas and gives no formulas)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,6 @@ from pmbm.filter.models.protocols import SceneDensity
 from pmbm.score import ScoreModel, confidence_in
 from pmbm.types import Detections, FloatArray
 from pmbm.validation import check_fields
-
-if TYPE_CHECKING:
-    from pmbm.filter.estimation import Marginals
 
 _ONE = np.ones(1)
 
@@ -40,7 +37,11 @@ class ScoredDetections:
 
 
 class NoRecord:
-    """Sources of which no record is kept, R = 0."""
+    """Sources of which no record is kept, R = 0, and whose classes never change."""
+
+    @property
+    def steady(self) -> bool:
+        return True
 
     @property
     def sums(self) -> int:
@@ -76,7 +77,7 @@ class OneClass(NoRecord):
         return _ONE
 
     def observed(
-        self, scene: SceneDensity, marginal: Marginals, in_view: FloatArray, dt: float
+        self, scene: SceneDensity, in_view: Callable[[FloatArray], float], dt: float
     ) -> SceneDensity:
         return scene
 
