@@ -75,7 +75,7 @@ def h() -> tuple[float, dict[str, Any]]:
 
             def kept(level: Any, seed: int = seed) -> None:
                 # As a fresh process would: nothing is left in memory.
-                scenarios._scene.cache_clear()
+                scenarios.simulated_scene.cache_clear()
                 level.record(seed)
 
             totals = [0.0, 0.0]
