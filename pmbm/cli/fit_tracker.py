@@ -252,7 +252,7 @@ class RecordFits:
                 label: ModeRows.joined([self.found[kind, name] for name in names])
                 for label, kind in self._kinds().items()
             }
-            records = fit_records(whole, self.scale, before)
+            records = fit_records(whole, self.scale, before, sequences=len(names))
         else:
             records = before
         return {
@@ -421,7 +421,7 @@ def report(worth: Mapping[str, LeftOut | None], title: str) -> str:
 
 def honest_cell(spread: tuple[float, float]) -> str:
     """The median and the 95 % quantile of `honest_spread`."""
-    return f"{spread[0]:.3f}, <= {spread[1]:.3f}"
+    return f"{spread[0]:.3f}, to {spread[1]:.3f}"
 
 
 def _cell(value: float | None, digits: int = 3) -> str:

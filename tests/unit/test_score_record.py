@@ -190,19 +190,27 @@ def test_few_objects_borrow_from_labels_like_theirs():
     assert error[2] == pytest.approx(error[0], rel=1e-3)
 
 
-def test_few_objects_do_not_overrule_what_other_detectors_say_and_many_do():
+def test_few_sequences_do_not_overrule_what_other_detectors_say_and_many_do():
     rng = np.random.default_rng(2)
     others = [simulated(rng, TRUE), simulated(rng, TRUE, 2000)]
     before = pooled_records({Label.CAR: others}, (MIDDLE, SPREAD))
     assert values(before[Label.CAR].online) == pytest.approx(TRUE, abs=0.2)
     own = TRUE + 1.0
-    few, many = simulated(rng, own, 20), simulated(rng, own, 50_000)
-    held, free = (
-        values(fit_records({Label.CAR: one}, (MIDDLE, SPREAD), before)[Label.CAR].online)
-        for one in (few, many)
-    )
-    assert np.abs(held - TRUE).sum() < 0.3 * np.abs(own - TRUE).sum()
-    assert np.abs(free - own).sum() < 0.15 * np.abs(own - TRUE).sum()
+    told = simulated(rng, own, 5_000)
+    for mode, few in (("online", 1), ("batch", 3)):
+        held, free = (
+            values(
+                getattr(
+                    fit_records({Label.CAR: told}, (MIDDLE, SPREAD), before, sequences=n)[
+                        Label.CAR
+                    ],
+                    mode,
+                )
+            )
+            for n in (few, 30)
+        )
+        assert np.abs(held - TRUE).sum() < 0.5 * np.abs(own - TRUE).sum()
+        assert np.abs(free - own).sum() < 0.15 * np.abs(own - TRUE).sum()
 
 
 def street_config():
