@@ -287,6 +287,9 @@ inline Table branched(const TableView& table, const PairsView& known, const doub
                        joining.of_measurement.data(), clusters);
     Ints allowed(static_cast<std::size_t>(clusters), limits.max_hypotheses);
     Table parents;
+    const auto expected = std::min<std::int64_t>(table.rows + measurements, at_once);
+    parents.reserve(expected, expected);
+    grown.reserve(expected, expected);
     for (std::int64_t number = 0; number < clusters; ++number) {
         joining.append(number, parents);
         if (parents.member.size() < at_once && number + 1 < clusters) continue;

@@ -211,6 +211,7 @@ class Joining {
             }
         });
         first_row_.push_back(table_.rows);
+        pair_cluster.reserve(pairs);
         for (std::size_t i = 0; i < pairs; ++i) pair_cluster.push_back(cluster_of[pair_row[i]]);
         Components ties(table_.clusters(), measurements, pair_cluster, pair_measurement);
         for (std::size_t c = 0; c < ties.number.size(); ++c) {

@@ -51,7 +51,8 @@ class KBest {
     // `takers` and `taken` the index into `costs` of a way and an option that it uses.
     std::int64_t choose(const Options& o, std::int64_t k, double margin, std::vector<double>& costs,
                         std::vector<std::int64_t>& takers, std::vector<std::int64_t>& taken) {
-        if (o.rows <= 1) return choose_one(o, k, margin, costs, takers, taken);
+        if (o.rows <= 1 || o.columns <= 1) return choose_one(o, k, margin, costs, takers, taken);
+        if (k == 1 && choose_apart(o, costs, takers, taken)) return 1;
         rows_ = static_cast<std::int32_t>(o.rows);
         width_ = static_cast<std::int32_t>(o.columns + o.rows);
         clear();
@@ -89,7 +90,7 @@ class KBest {
     }
 
  private:
-    // choose() of a single row, or none: its options, and nothing, in order of their costs.
+    // choose() of a single row or column, or none: its options, and nothing, in order of their costs.
     std::int64_t choose_one(const Options& o, std::int64_t k, double margin,
                             std::vector<double>& costs, std::vector<std::int64_t>& takers,
                             std::vector<std::int64_t>& taken) {
@@ -109,6 +110,41 @@ class KBest {
             ++found;
         }
         return found;
+    }
+
+    // The cheapest way of choose() alone, if no two rows want one column: each row's cheapest option.
+    bool choose_apart(const Options& o, std::vector<double>& costs,
+                      std::vector<std::int64_t>& takers, std::vector<std::int64_t>& taken) {
+        is_banned_.resize(std::max(is_banned_.size(), static_cast<std::size_t>(o.columns)), 0);
+        const auto way = static_cast<std::int64_t>(costs.size());
+        const auto first = taken.size();
+        bool apart = true;
+        double total = 0;
+        for (std::int64_t option = 0; option < o.count && apart;) {
+            const auto row = o.row[option];
+            auto best = option;
+            for (; option < o.count && o.row[option] == row; ++option) {
+                if (o.cost[option] < o.cost[best]) best = option;
+            }
+            if (o.cost[best] > 0) continue;
+            auto& wanted = is_banned_[static_cast<std::size_t>(o.column[best] - o.first_column)];
+            apart = !wanted;
+            wanted = 1;
+            total += o.cost[best];
+            takers.push_back(way);
+            taken.push_back(o.first + best);
+        }
+        for (auto i = first; i < taken.size(); ++i) {
+            const auto column = o.column[taken[i] - o.first] - o.first_column;
+            is_banned_[static_cast<std::size_t>(column)] = 0;
+        }
+        if (apart) {
+            costs.push_back(total);
+        } else {
+            takers.resize(first);
+            taken.resize(first);
+        }
+        return apart;
     }
 
     static constexpr double kInf = std::numeric_limits<double>::infinity();

@@ -38,6 +38,7 @@ inline std::vector<std::int64_t> suppress_overlaps(const double* position, const
             const auto a = static_cast<std::size_t>(other);
             if (!holds[a]) return;
             const double *there = position + 2 * a, *its = box + 5 * a;
+            if (std::abs(there[0] - at[0]) > reach || std::abs(there[1] - at[1]) > reach) return;
             if (inside(at, there, its) || inside(there, at, own)) rivals.push_back(a);
         });
         const double area = own[1] * own[2];

@@ -324,8 +324,10 @@ class Stepper {
             gate();
         }
         release(if_detected_);
-        for (auto* column : {&row_, &measurement_}) column->shrink_to_fit();
-        pair_weight_.shrink_to_fit();
+        if (H > kMany) {
+            for (auto* column : {&row_, &measurement_}) column->shrink_to_fit();
+            pair_weight_.shrink_to_fit();
+        }
         missed_existence_.resize(H);
         Floats log_missed(H);
         for (std::size_t h = 0; h < H; ++h) {

@@ -211,6 +211,13 @@ inline Table merged(const TableView& table) {
     return kept;
 }
 
+// Puts a value among the few that rise from `first` on, unless it is one of them.
+inline void insert(Ints& rising, std::size_t first, std::int64_t value) {
+    const auto at = std::lower_bound(rising.begin() + static_cast<std::ptrdiff_t>(first),
+                                     rising.end(), value);
+    if (at == rising.end() || *at != value) rising.insert(at, value);
+}
+
 // One cluster as a dense table of local hypotheses: rows x tracks, both in order, -1 for absent.
 struct Dense {
     Ints tracks, choice;
@@ -219,10 +226,9 @@ struct Dense {
     Dense(const TableView& table, const std::int64_t* track, std::int64_t first,
           std::int64_t last) {
         for (auto e = table.start[first]; e < table.start[last]; ++e) {
-            tracks.push_back(track[table.member[e]]);
+            insert(tracks, 0, track[table.member[e]]);
         }
-        std::sort(tracks.begin(), tracks.end());
-        tracks.erase(std::unique(tracks.begin(), tracks.end()), tracks.end());
+        weight.reserve(static_cast<std::size_t>(last - first));
         choice.assign(static_cast<std::size_t>(last - first) * tracks.size(), -1);
         for (auto g = first; g < last; ++g) {
             weight.push_back(std::exp(table.log_weight[g]));
@@ -250,10 +256,8 @@ inline Ints groups(const Dense& dense, double tolerance) {
     for (std::size_t column = 0; column < tracks; ++column) {
         const auto begin = static_cast<std::ptrdiff_t>(names.size());
         for (std::size_t row = 0; row < rows; ++row) {
-            if (dense.at(row, column) >= 0) names.push_back(dense.at(row, column));
+            if (dense.at(row, column) >= 0) insert(names, first_name.back(), dense.at(row, column));
         }
-        std::sort(names.begin() + begin, names.end());
-        names.erase(std::unique(names.begin() + begin, names.end()), names.end());
         first_name.push_back(names.size());
         for (std::size_t row = 0; row < rows; ++row) {
             name[row * tracks + column] = static_cast<std::size_t>(
