@@ -217,8 +217,8 @@ class Stepper {
     }
 
  private:
-    // Box 1.  Detected objects are predicted one by one, where they are asked for: with many of them
-    // their table is large.
+    // Box 1.  Detected objects are predicted one by one, where they are asked for, and kept if they
+    // are few: with many of them their table is large.
     double existence(std::size_t h) const { return local_.existence[h] * rules_.survival; }
 
     // i : of a local hypothesis and a sensor, in the order of the table.
@@ -227,12 +227,20 @@ class Stepper {
     }
 
     Gaussian predicted(std::size_t h) const {
+        return predicted_.empty() ? moved(h) : predicted_[h];
+    }
+
+    Gaussian moved(std::size_t h) const {
         Gaussian one;
         move(local_.mean + 4 * h, local_.cov + 16 * h, rules_.F, rules_.Q, one.mean, one.cov);
         return one;
     }
 
     void predict() {
+        if (local_.count <= kMany) {
+            predicted_.reserve(local_.count);
+            for (std::size_t h = 0; h < local_.count; ++h) predicted_.push_back(moved(h));
+        }
         ppp_ = owned(survivors_);
         recycled_before_ = survivors_.track != nullptr;
         if (!births_) return;
@@ -271,7 +279,13 @@ class Stepper {
         const auto H = local_.count;
         // Predicted, and row by row changed to what a miss makes of them.
         auto &mean = missed_mean_, &cov = missed_cov_;
-        move(local_.mean, local_.cov, H, rules_.F, rules_.Q, mean, cov);
+        mean.resize(4 * H);
+        cov.resize(16 * H);
+        for (std::size_t h = 0; h < H; ++h) {
+            const auto one = predicted(h);
+            std::copy_n(one.mean, 4, mean.data() + 4 * h);
+            std::copy_n(one.cov, 16, cov.data() + 16 * h);
+        }
         if (sensor_.undetected_in_detail) {
             ppp_missed_mean_ = ppp_.mean;
             ppp_missed_cov_ = ppp_.cov;
@@ -602,7 +616,9 @@ class Stepper {
                 std::copy_n(missed_mean_.data() + 4 * h, 4, mean);
                 std::copy_n(missed_cov_.data() + 16 * h, 16, cov);
             } else {
-                move(local_.mean + 4 * h, local_.cov + 16 * h, rules_.F, rules_.Q, mean, cov);
+                const auto one = predicted(h);
+                std::copy_n(one.mean, 4, mean);
+                std::copy_n(one.cov, 16, cov);
             }
         } else if (candidate < missed + detected) {
             const auto pair = static_cast<std::size_t>(runs_[1][candidate - missed]);
@@ -818,6 +834,7 @@ class Stepper {
     // The undetected objects, predicted; and what both kinds are after a miss, where something hides.
     Mixture ppp_;
     bool recycled_before_ = false, hides_ = false;
+    std::vector<Gaussian> predicted_;
     Floats detection_, if_detected_, ppp_detection_, ppp_if_detected_;
     Floats missed_mean_, missed_cov_, missed_existence_, ppp_missed_mean_, ppp_missed_cov_;
     // Gated pairs, and first detections: the undetected objects as these see them, or their pairs
