@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,13 +56,16 @@ class Blindness:
         """After an empty delivery, of a log probability `log_chance` if the sensor sees.
 
         It is taken for blind or not, by what is likelier: so one that sees is taken at its word.
+        Once it is, only a detection says that it sees again: that nothing is in its view is no
+        sign of it.
         """
+        if self.blind:
+            return replace(self, time=time)
         usual = _BLIND / (_SEEING + _BLIND)
         memory = math.exp(-(time - self.time) * (1 / _SEEING + 1 / _BLIND))
         before = usual + (self.probability - usual) * memory
         probability = before / (before + (1 - before) * math.exp(log_chance))
-        since = time if math.isnan(self.since) else self.since
-        return Blindness(time, probability, since if probability > _SURE else math.nan)
+        return Blindness(time, probability, time if probability > _SURE else math.nan)
 
 
 def log_chance_of_none(predicted: Density, P_D: FloatArray) -> float:

@@ -204,6 +204,16 @@ def test_a_sensor_is_blind_until_it_detects_again():
     ]
 
 
+def test_a_blind_sensor_with_nothing_in_view_is_still_blind():
+    """Empty deliveries of which nothing else was to be expected are no sign that it sees again."""
+    one = Blindness(0.0).after_none(0.1, -20.0)
+    for k in range(2, 600):
+        one = one.after_none(0.1 * k, 0.0)
+    assert one.blind
+    assert one.lasts
+    assert one.since == 0.1
+
+
 def test_a_sensor_with_nothing_in_view_is_not_blind():
     """Its empty deliveries say nothing of it."""
     narrow = replace(RADAR, fov_half_angle=0.05, max_range=10.0)
