@@ -25,13 +25,11 @@ _DRIFT_SD = np.array([0.02, 0.02, np.deg2rad(0.02)])
 """By which it may change, per root s."""
 _CENTRE_SD = 0.3
 """m by which two kinds of sensors may place the centre of one object apart."""
-_LASTING = 1.0
-"""s for which that stays: what is compared again before says less."""
 _MOMENT = 0.25
 """s between two looks whose detections are compared, at most."""
-_PAUSE, _SETTLED_PAUSE, _SETTLED = 0.15, 2.0, 16
+_PAUSE, _SETTLED_PAUSE, _SETTLED = 0.25, 2.0, 10
 """s until a sensor's detections are compared again: at first, and after so many comparisons where
-mounts fit."""
+mounts fit.  Sooner they would say much the same again."""
 _NEAR = 5.0
 """m from a track that is reported, from which on a detection is not taken for its."""
 _GATE = 13.8
@@ -139,20 +137,16 @@ class Registration:
         since = max(self.compared.values(), default=time)
         drift = (time - since) * np.outer(_aligned(model, site), _DRIFT_SD**2).ravel()
         now = replace(self, cov=self.cov + np.diag(drift), compared={**self.compared, name: time})
-        weight = min(1.0, (time - self.compared.get(name, time - _PAUSE)) / _LASTING)
         for other in self.newest.values():
             if other is not look and time - other.detections.time <= _MOMENT:
-                now = now._compared(model, names, look, other, weight)
+                now = now._compared(model, names, look, other)
         return replace(now, misfit=now._misfit(model, site))
 
     def _compared(
-        self, model: PMBMConfig, names: list[str], look: Look, other: Look, weight: float
+        self, model: PMBMConfig, names: list[str], look: Look, other: Look
     ) -> Registration:
         """With what the detections of two looks say that are of one object: each other's nearest,
-        and one of them at a track that is reported, with whose velocity it moves on.
-
-        weight : of what they say, where much of it was said by earlier looks.
-        """
+        and one of them at a track that is reported, with whose velocity it moves on."""
         s, o = (names.index(one.detections.sensor) for one in (look, other))
         time, before = look.detections.time, other.detections
         there = other.places(self.error[o])
@@ -175,7 +169,7 @@ class Registration:
         if len(kept) < _ENOUGH:
             return self
         rows = J[:, kept].reshape(-1, self.error.size)
-        weighted = weight * rows.T / np.tile(R[kept], 2)
+        weighted = rows.T / np.tile(R[kept], 2)
         # In this form a mount that is sure may have no variance at all.
         cov = self.cov @ np.linalg.inv(np.eye(len(self.cov)) + weighted @ rows @ self.cov)
         error = cov @ (weighted @ residual[:, kept].ravel())
