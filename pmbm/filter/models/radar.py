@@ -12,6 +12,8 @@ from pmbm.types import Detections, FloatArray
 if TYPE_CHECKING:
     from pmbm.filter.models.sensor import Sensor
 
+_LEFT = np.array([-1.0, 1.0])
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RadarScan:
@@ -94,4 +96,4 @@ def _line_of_sight(detections: Detections) -> tuple[FloatArray, FloatArray]:
 
 def _left_of(sight: FloatArray) -> FloatArray:
     """(M,2) at right angles to unit vectors (M,2)."""
-    return np.stack([-sight[:, 1], sight[:, 0]], axis=1)
+    return sight[:, ::-1] * _LEFT
