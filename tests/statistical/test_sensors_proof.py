@@ -76,12 +76,14 @@ def apart(sensors):
     return lambda site: TracksPerSensor("pmbm", {"sensors": sensors}, site=site)
 
 
-def scores(scenes, make, since=0.0):
-    """GOSPA, IDF1 and id switches (SEEDS,3) of a tracker from a time on."""
+def scores(scenes, make, since=0.0, looks=None):
+    """GOSPA, IDF1 and id switches (SEEDS,3) of a tracker from a time on, in all frames or in those
+    in which the sensor of the name `looks` does."""
     found = []
     for one in scenes:
         tracks = run(make(one.site), one)
-        kept = [k for k, step in enumerate(tracks) if step.time >= since]
+        times = {step.time for step in one.detections if looks in (None, step.sensor)}
+        kept = [k for k, step in enumerate(tracks) if step.time >= since and step.time in times]
         late = TrackSequence(steps=[tracks[k] for k in kept], frame=tracks.frame[kept])
         values = evaluate(one, late).scalars()
         found.append([values["gospa"], values["idf1"], values["id_switches"]])
@@ -128,28 +130,41 @@ def test_two_sensors_are_better_than_either_and_than_their_tracks_fused(name, ve
 
 @pytest.mark.filterwarnings("ignore:at .* is taken for blind:pmbm.errors.InputWarning")
 def test_a_sensor_that_fails_costs_no_more_than_doing_without_it(verified, capsys):
-    """After the radar has fallen silent, or blind, against the lidar alone all along."""
-    scenes, sensors = recordings("sensor_failure"), SENSORS["sensor_failure"]
+    """After the radar has fallen silent, or blind, against the lidar alone all along, in the frames
+    in which the lidar looks: a silent radar makes none, and between them the lidar alone reports
+    what it said last, in view or not."""
+    sensors = SENSORS["sensor_failure"]
+    silent = recordings("sensor_failure")
+    unfailing = recordings_unfailing()
+    blind = [blinded(one) for one in unfailing]
+    clutter = [with_clutter_alone(one) for one in unfailing]
+    useless = {**sensors, "radar": replace(sensors["radar"], detection=detected(0.01))}
+    false_boxes = "both, the radar delivering false boxes alone"
     rows = {
-        "lidar alone": scores(scenes, alone("lidar", sensors), FAILS_AT),
-        "both, the radar silent": scores(scenes, fused(sensors), FAILS_AT),
-        "both, the radar blind (empty deliveries)": scores(
-            [blinded(one) for one in recordings_unfailing()], fused(sensors), FAILS_AT
-        ),
+        name: scores(scenes, tracker, FAILS_AT, looks="lidar")
+        for name, scenes, tracker in (
+            ("lidar alone", silent, alone("lidar", sensors)),
+            ("both, the radar silent", silent, fused(sensors)),
+            ("both, the radar blind (empty deliveries)", blind, fused(sensors)),
+            (false_boxes, clutter, fused(sensors)),
+            (f"{false_boxes}, as the tracker is told", clutter, fused(useless)),
+        )
     }
     with capsys.disabled():
         print(table(f"sensor_failure, from {FAILS_AT:g} s on", rows, "lidar alone"))
     for name in list(rows)[1:]:
         cost, low, high = mean_interval(rows[name][:, 0] - rows["lidar alone"][:, 0])
+        # Its misses may as well mean that objects are hidden from it: nothing makes up for them.
+        unnoticed = name == false_boxes
         verified(
             id="sensors_failure",
             what=f"GOSPA after the failure, {name}, less that of the lidar alone, m, 95 % interval "
             f"{low:.3f} to {high:.3f}; {SEEDS} paired seeds",
             figure=f"{cost:.3f}",
-            bound=LOSS,
-            verdict=high <= LOSS,
+            bound=None if unnoticed else LOSS,
+            verdict="report" if unnoticed else high <= LOSS,
         )
-        assert high <= LOSS
+        assert unnoticed or high <= LOSS
 
 
 def recordings_unfailing():
@@ -164,6 +179,15 @@ def blinded(recording):
         if one.sensor == "radar" and one.time >= FAILS_AT
         else one
         for one in recording.detections
+    ]
+    return replace(recording, detections=detections, origin=None)
+
+
+def with_clutter_alone(recording):
+    """The radar goes on delivering false boxes, and sees nothing."""
+    detections = [
+        one.take(origin < 0) if one.sensor == "radar" and one.time >= FAILS_AT else one
+        for one, origin in zip(recording.detections, recording.origin, strict=True)
     ]
     return replace(recording, detections=detections, origin=None)
 
@@ -235,32 +259,45 @@ def test_a_sensor_wrongly_believed(verified, capsys):
         assert low > 0
 
 
-def test_what_a_second_sensor_costs(verified, capsys):
+SECOND = {
+    "one more alike": ({}, {}),
+    "a radar": ({"detector": {"profile": "radar"}}, {"second": RADAR}),
+}
+
+
+@pytest.mark.parametrize("other", SECOND)
+def test_what_a_second_sensor_costs(other, verified, capsys):
     """Two sensors, each at the rate of the one: CPU time of steps in all, and by local hypothesis
-    that they look at."""
+    that they look at.  Of a radar, with three components and a covariance of each measurement, it
+    is reported alone."""
     document = {**load_scenario("density").document, "duration": 5.0}
-    second = {"mount": [2.0, 0.0, 0.0]}
+    described, models = SECOND[other]
+    second = {"mount": [2.0, 0.0, 0.0], **described}
     several = {**document, "sensors": {"first": {}, "second": second}}
     for objects in (10, 50):
         one, two = (Scenario(each).at(objects).record(1) for each in (document, several))
         alone_s, alone_n = min(cost(one) for _ in range(5))
-        both_s, both_n = min(cost(two) for _ in range(5))
+        both_s, both_n = min(cost(two, models) for _ in range(5))
         in_all, each = both_s / alone_s, (both_s / both_n) / (alone_s / alone_n)
         with capsys.disabled():
-            print(f"\n{objects} objects: {in_all:.2f} in all, {each:.2f} a local hypothesis")
+            print(f"\n{other}, {objects} objects: {in_all:.2f} in all, {each:.2f} a hypothesis")
         what = (
-            f"CPU time of two sensors, each at the rate of the one, over that of one, {objects} "
-            f"objects; {each:.2f} a local hypothesis that a step looks at, of which there are "
-            f"{both_n / alone_n:.2f} times as many"
+            f"CPU time of two sensors, the second {other}, each at the rate of the one, over that "
+            f"of one, {objects} objects; {each:.2f} a local hypothesis that a step looks at, of "
+            f"which there are {both_n / alone_n:.2f} times as many"
         )
+        if other == "a radar":
+            verified("sensors_cost", what, round(in_all, 2))
+            continue
         verified("sensors_cost", what, round(in_all, 2), 3.2, bool(in_all <= 3.2 and each <= 2.2))
         assert in_all <= 3.2
         assert each <= 2.2
 
 
-def cost(recording):
+def cost(recording, models=None):
     """CPU time of all steps, s, and the local hypotheses after each, added up."""
-    tracker, seconds, hypotheses = PMBMTracker(None, recording.site), 0.0, 0
+    config = PMBMConfig(sensors=models or {})
+    tracker, seconds, hypotheses = PMBMTracker(config, recording.site), 0.0, 0
     for delivery in recording.handed_over():
         start = time.process_time()
         tracker.step(recording.detections[delivery])
