@@ -77,7 +77,10 @@ def command(
     if out is not None and out.suffix.lower() not in (".svg", ".png"):
         raise InputError("unknown format", field="--out", expected=".svg or .png", got=out.name)
     source = resolve(scenario, {} if level is None else {"level": level})
-    replay, _ = trial_replay(source, named(trackers, settings), seed, 0, with_maps=kind == "hidden")
+    chosen = named(trackers, settings)
+    replay, result = trial_replay(source, chosen, seed, 0, with_maps=kind == "hidden")
+    for name in chosen:
+        result.of(name)
     figure = _figure(kind, replay, frame, dark=dark)
     out = out or Path("reports") / f"{source.name}-{kind}.png"
     out.parent.mkdir(parents=True, exist_ok=True)

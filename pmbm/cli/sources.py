@@ -59,9 +59,11 @@ def resolve(name: str, overrides: Mapping[str, Any]) -> Source:
 
 def _put(document: dict[str, Any], key: str, value: Any) -> None:
     from pmbm.errors import InputError
+    from pmbm.sim.scenario.checks import check_sensor_in
 
     table: Any = document
     *path, last = key.split(".")
+    check_sensor_in(document, key, field=f"sweep: {key}")
     for part in path:
         table = table.setdefault(part, {})
         if not isinstance(table, dict):

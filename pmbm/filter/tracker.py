@@ -287,6 +287,8 @@ class PMBMTracker:
 
     config : what it assumes; site : what the sensor can see (default: 100 m all round).
 
+    Raises InputError for models of sensors that the site does not name.
+
     Example
     -------
     >>> tracker = PMBMTracker(PMBMConfig(reduction=Reduction(gate=16.0)))
@@ -298,8 +300,16 @@ class PMBMTracker:
     def __init__(self, config: PMBMConfig | None = None, site: Site | None = None) -> None:
         self.config = config if config is not None else PMBMConfig()
         self.site = site if site is not None else Site()
-        for name in self.config.sensors if self.site.sensors else ():
-            self.site.sensor(name)
+        for name in self.config.sensors:
+            if self.site.sensor(name) is None:
+                raise InputError(
+                    f"a model of the sensor '{name}' where the site names no sensors",
+                    field="sensors",
+                    expected="none",
+                    got=", ".join(self.config.sensors),
+                    hint="set what is assumed of a single sensor as sensor.KEY, or name the "
+                    "sensors in the scenario or site",
+                )
         self.state = State.initial(self.config)
         self.trace: Trace | None = None
         self._warned: set[str] = set()

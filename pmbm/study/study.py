@@ -161,12 +161,12 @@ class Study:
 def check_sensors(tracker: ConfiguredTracker, source: Source) -> None:
     """Raise InputError where a tracker has parameters of a sensor that the source does not have, as
     far as the source says which it has (`mounted`)."""
-    mounted = getattr(source, "mounted", ())
-    if mounted and any(key.split(".")[0] == "sensors" for key, _ in tracker.parameters):
+    mounted = getattr(source, "mounted", None)
+    if mounted is not None and any(key.split(".")[0] == "sensors" for key, _ in tracker.parameters):
         try:
             tracker(Site(sensors=tuple(mounted)))
         except InputError as error:
-            raise error.located(field="sensors") from None
+            raise error.located(run=source.name, field="sensors") from None
 
 
 def cell_label(scenario: str, point: Mapping[str, Any]) -> str:

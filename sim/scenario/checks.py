@@ -193,6 +193,9 @@ def check_sweep(form: schema.ScenarioForm, document: Mapping[str, Any], file: st
                 "set" if sweep.set else "parameter",
                 hint=nearest_hint(root, roots, "first part"),
             )
+        check_sensor_in(
+            document, key, file=file, field="sweep.set" if sweep.set else "sweep.parameter"
+        )
         table: Any = document
         for part in (root, *rest[:-1]):
             table = table.get(part, {}) if isinstance(table, Mapping) else None
@@ -200,3 +203,21 @@ def check_sweep(form: schema.ScenarioForm, document: Mapping[str, Any], file: st
             raise bad(f"'{key}' names no table of this file", "set" if sweep.set else "parameter")
     if not form.check.monotone and not form.check.why:
         raise InputError("a factor that is not monotone says why", file=file, field="check.why")
+
+
+def check_sensor_in(document: Mapping[str, Any], key: str, **where: Any) -> None:
+    """Refuse a dotted key of a sensor that a scenario's document does not have (InputError): it
+    would stand for one more sensor.
+
+    where : of the error (`file=`, `field=`).
+    """
+    root, *rest = key.split(".")
+    names = list(document.get("sensors", {}))
+    if root == "sensors" and len(rest) > 1 and rest[0] not in names:
+        raise InputError(
+            f"no sensor '{rest[0]}' in the scenario",
+            expected=" or ".join(names) or "none: it has a single sensor",
+            got=key,
+            hint=nearest_hint(rest[0], names, "sensor") if names else "sweep keys of detector",
+            **where,
+        )

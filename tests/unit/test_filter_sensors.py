@@ -321,7 +321,7 @@ def test_a_sensor_that_sees_nothing_changes_nothing(native, monkeypatch):
     blind = Sensor(detection=FixedDetection(probability=1e-9), clutter_rate=1e-6)
     mounted = (MountedSensor(name="eye", max_range=100.0), MountedSensor(name="blind"))
     config = PMBMConfig(sensors={"blind": blind})
-    alone = PMBMTracker(config)
+    alone = PMBMTracker()
     both = PMBMTracker(config, Site(sensors=mounted))
     reported = 0
     for frame in crossing_pair():
@@ -342,7 +342,7 @@ def test_a_sensor_that_sees_nothing_in_between_delays_nothing():
     blind = Sensor(detection=FixedDetection(probability=1e-9), clutter_rate=1e-6)
     config = PMBMConfig(sensors={"blind": blind})
     site = Site(sensors=(MountedSensor(name="eye"), MountedSensor(name="blind")))
-    alone, both = PMBMTracker(config), PMBMTracker(config, site)
+    alone, both = PMBMTracker(), PMBMTracker(config, site)
     for frame in crossing_pair():
         one, two = alone.step(frame), both.step(replace(frame, sensor="eye"))
         assert one.id.tolist() == two.id.tolist()
@@ -377,10 +377,12 @@ def test_an_object_that_one_sensor_alone_can_see_is_found_at_once(birth):
     config = PMBMConfig() if birth == "broad" else PMBMConfig(birth=BirthMap())
     share = 0.2 * 60.0**2 / (np.pi * 100.0**2)
     # As much clutter a square metre.
-    config = replace(config, sensors={"narrow": Sensor(clutter_rate=5.0 * share)})
+    of_narrow = replace(config, sensors={"narrow": Sensor(clutter_rate=5.0 * share)})
     both = {}
-    for name, site in (("narrow", Site(sensors=(narrow,))), ("", Site())):
-        one = PMBMTracker(config, site)
+    for name, one in (
+        ("narrow", PMBMTracker(of_narrow, Site(sensors=(narrow,)))),
+        ("", PMBMTracker(config)),
+    ):
         found = [len(one.step(delivery(0.1 * k, [[40.0 + k, 1.0]], name))) for k in range(6)]
         both[name] = found.index(1)
     assert both["narrow"] <= both[""]
@@ -496,6 +498,8 @@ def test_names_that_are_none_of_the_site_are_refused():
         one.step(Detections.empty(0.0, sensor="lidr"))
     with pytest.raises(InputError, match="no sensor ''"):
         one.step(Detections.empty(0.0))
+    with pytest.raises(InputError, match=r"names no sensors .*sensor\.KEY"):
+        PMBMTracker(PMBMConfig(sensors={"radar": Sensor()}))
 
 
 def test_a_configuration_names_its_sensors_in_tables_and_by_dotted_names():
@@ -503,7 +507,7 @@ def test_a_configuration_names_its_sensors_in_tables_and_by_dotted_names():
 
     table = {"radar": {"range_sd": 0.2, "azimuth_sd": 0.01, "scores": {"kind": "ignore"}}}
     made = ConfiguredTracker("pmbm", (("sensors", table), ("sensors.radar.gate", 12.0)))
-    config = made(Site()).config
+    config = made(Site(sensors=(MountedSensor(name="radar"),))).config
     expected = Sensor(range_sd=0.2, azimuth_sd=0.01, scores=IgnoreScores(), gate=12.0)
     assert config.sensors == {"radar": expected}
     assert config.changed({"sensors.radar.clutter_rate": 7}).sensors["radar"].clutter_rate == 7

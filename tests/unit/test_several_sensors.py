@@ -289,6 +289,8 @@ def test_a_sweep_reaches_a_sensor():
     swept = Scenario({**base.document, "sweep": sweep})
     found = [len(of(swept.record(0, level=level), "b")) for level in (10, 5, 1)]
     assert found == [40, 20, 4]
+    with pytest.raises(InputError, match=r"no sensor 'c' in the scenario.*a or b"):
+        Scenario({**base.document, "sweep": {**sweep, "parameter": "sensors.c.rate"}})
     reaching = {"parameter": "sensors.b.detector.objects.detection_probability", "levels": [1, 0]}
     swept = Scenario({**base.document, "sweep": reaching})
     found = [sum(len(one) for _, one, _ in of(swept.record(0, level=v), "b")) for v in (1, 0)]

@@ -325,6 +325,26 @@ parameters = { "sensors.SENSOR.clutter_rate" = 3.0 }
     wrong = written(tmp_path, text.replace("SENSOR", "radra"))
     with pytest.raises(InputError, match=r"tracker.pmbm.sensors\).*did you mean 'radar'"):
         load_study(wrong, sources.resolve)
+    text = text.replace("lidar_radar", "crossing").replace("SENSOR", "radar")
+    none_at_all = written(tmp_path, text)
+    said = r"\(crossing, .*tracker.pmbm.sensors\).*sensor\.KEY"
+    with pytest.raises(InputError, match=said):
+        load_study(none_at_all, sources.resolve)
+
+
+def test_a_sweep_reaches_the_rate_of_a_sensor(tmp_path):
+    text = 'scenarios = ["lidar_radar"]\n[sweep.grid]\n"sensors.radar.rate" = [20, 5]\n'
+    study = load_study(written(tmp_path, text), sources.resolve)
+    recordings = [cell.source.record(0) for cell in study.cells]
+    looks, others = (
+        [
+            [one.position.tolist() for one in recording.detections if one.sensor == name]
+            for recording in recordings
+        ]
+        for name in ("radar", "lidar")
+    )
+    assert [len(one) for one in looks] == [240, 60]
+    assert others[0] == others[1]
 
 
 @pytest.mark.parametrize(
@@ -333,6 +353,7 @@ parameters = { "sensors.SENSOR.clutter_rate" = 3.0 }
         ('"detector.cluter.rate" = [1.0]', r"field sweep: detector.cluter\); did you mean"),
         ('"duration" = [-1.0]', "field sweep: duration.*above 0"),
         ('"level" = [99.0]', "field sweep: level"),
+        ('"sensors.radar.rate" = [5]', r"sensors.radar.rate\).*it has a single sensor"),
         ('"tracker.pmbm.reduction.gat" = [9.0]', "field tracker.pmbm.reduction.gat"),
     ],
 )
