@@ -586,3 +586,21 @@ def test_a_notebook_shows_a_replay_in_its_frame(browser, tmp_path):
         finally:
             browser.switch_to.default_content()
         assert complaints(browser) == []
+
+
+def test_the_switch_of_the_detections_says_which_sensor_is_drawn_how(browser, tmp_path):
+    from pmbm import PMBMTracker, run
+    from pmbm.sim.scenario.scenario import Scenario, load_scenario
+
+    scene = Scenario({**load_scenario("lidar_radar").document, "duration": 0.5}).record(0)
+    path = tmp_path / "sensors.html"
+    path.write_text(page(scene, {"pmbm": run(PMBMTracker(site=scene.site), scene)}), "utf-8")
+    opened(browser, path)
+    switch = browser.find_element("css selector", "[data-layer=detections]")
+    assert switch.text.split() == ["detections", "lidar", "radar"]
+    drawn = browser.find_elements("css selector", "[data-layer=detections] rect")
+    assert [one.get_attribute("stroke-dasharray") for one in drawn] == ["", "5 3"]
+    before = pixels(browser)
+    click(browser, "[data-layer=detections]")
+    assert pixels(browser) != before
+    assert complaints(browser) == []

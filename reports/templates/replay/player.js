@@ -52,6 +52,20 @@ class Player {
       button.setAttribute("aria-pressed", this.state.layers.has(layer));
     }
     if (!possible.undetected) this.find("[data-do=measure]").remove();
+    if (data.site.sensors.length) this.nameSensors(this.find("[data-layer=detections]"));
+  }
+
+  // The switch of the detections says how the boxes of each sensor are drawn.
+  nameSensors(button) {
+    const glyph = button.querySelector(".glyph");
+    const entries = this.data.site.sensors.flatMap(({ name }, number) => {
+      const own = glyph.cloneNode(true);
+      own.querySelector("rect").setAttribute("stroke-dasharray", dashesOf(number).join(" "));
+      if (hollow(number)) own.querySelector("circle").setAttribute("fill", "none");
+      own.querySelector("circle").setAttribute("stroke", "var(--detection)");
+      return [own, name];
+    });
+    button.replaceChildren("detections", ...entries);
   }
 
   buildStages() {

@@ -3,6 +3,8 @@
 // Of the boxes and the field of view of one sensor after the other.
 const DASHES = [[], [5, 3], [2, 2], [7, 3, 2, 3]];
 const dashesOf = (number) => DASHES[number % DASHES.length];
+// Whether the centres of its boxes are rings: from afar dashes are not to be told apart.
+const hollow = (number) => number % 2 === 1;
 
 class Camera {
   constructor() {
@@ -249,8 +251,14 @@ class Scene {
     c.stroke();
     const [x, y] = this.camera.toScreen(detections.x[row], detections.y[row]);
     c.beginPath();
-    c.arc(x, y, 1.8, 0, 2 * Math.PI);
-    c.fill();
+    c.setLineDash([]);
+    if (detections.sensor && hollow(detections.sensor[row])) {
+      c.arc(x, y, 2.6, 0, 2 * Math.PI);
+      c.stroke();
+    } else {
+      c.arc(x, y, 1.8, 0, 2 * Math.PI);
+      c.fill();
+    }
     c.restore();
     if (this.camera.scale > 5) {
       const drop = (detections.width[row] / 2) * this.camera.scale + 13;
