@@ -291,8 +291,8 @@ OTHER_PLANTS = [
     Plant(
         "azimuth noise along the line of sight",
         "pmbm/filter/models/radar.py",
-        "return np.stack([-sight[:, 1], sight[:, 0]], axis=1)",
-        "return np.stack([sight[:, 1], sight[:, 0]], axis=1)",
+        "return sight[:, ::-1] * _LEFT",
+        "return sight[:, ::-1]",
         by="tests/unit/test_filter_sensors.py::test_the_covariance_of_a_radar_lies_along_its_line_of_sight",
         tests=("tests/unit/test_filter_sensors.py",),
     ),
