@@ -14,17 +14,7 @@ import numpy as np
 from pmbm.filter.config import Reduction
 from pmbm.filter.density import Density, Globals
 from pmbm.filter.hypotheses.branching import branch
-from pmbm.filter.hypotheses.gating import (
-    FirstDetectionDensity,
-    GatedPairs,
-    first_detections,
-    gated_pairs,
-)
-from pmbm.filter.hypotheses.radar_pairs import (
-    UpdatedPairs,
-    log_first_detection,
-    updated_pairs,
-)
+from pmbm.filter.hypotheses.gating import GatedPairs, gated_pairs, log_density
 from pmbm.filter.hypotheses.weights import log_of, log_of_each
 from pmbm.filter.models.sensor import ObservationModel
 from pmbm.filter.scan import Scan
@@ -42,9 +32,7 @@ class Association:
     hypotheses : the children, over the candidates: rows 0 .. H-1 are the local hypotheses, missed;
         then come the detected ones of the pairs `known`, then a new track of each measurement.
     dropped : how many children were too unlikely to be kept.
-    known : pairs of local hypotheses and measurements.
-    undetected : density of first detections; or, by a radar, pairs of undetected ones and
-        measurements.
+    known, undetected : pairs of local hypotheses, and of PPP components, and measurements.
     log_missed (H,) : log(1 - r P_D).  existence_if_missed (H,) : r of a missed track.
     known_if_missed : means (H,4) and covariances (H,4,4) of missed tracks.
     detection (H,), detection_undetected (P,) : P_D of local hypotheses and of PPP components.
@@ -56,8 +44,8 @@ class Association:
 
     hypotheses: Globals
     dropped: int
-    known: GatedPairs | UpdatedPairs
-    undetected: FirstDetectionDensity | UpdatedPairs
+    known: GatedPairs
+    undetected: GatedPairs
     log_missed: FloatArray
     existence_if_missed: FloatArray
     known_if_missed: tuple[FloatArray, FloatArray]
@@ -78,27 +66,18 @@ def associate(
         ceil(max_hypotheses w) children, its best.  Those that weigh up to `prune_hypothesis` of its
         best child, or of its cluster, would be pruned and are not kept.
     """
-    local, table, z = density.local, density.hypotheses, scan.position
+    local, ppp, z = density.local, density.undetected, scan.position
+    measured = z, scan.covariance(sensor.R), reduction.gate, scan.radar
     detection, detection_if_seen, known_if_missed = sensor.of_tracks(local)
-    prior, radar = local.existence * detection_if_seen, scan.radar
-    known: GatedPairs | UpdatedPairs
-    if radar is None:
-        known = gated_pairs(local.mean, local.cov, prior, z, sensor.R, reduction.gate)
-    else:
-        log_prior = log_of_each(prior)
-        known = updated_pairs(local.mean, local.cov, log_prior, z, radar, reduction.gate)
+    log_prior = log_of_each(local.existence * detection_if_seen)
+    known = gated_pairs(local.mean, local.cov, log_prior, *measured)
     existence_if_missed, not_seen = sensor.missed(local.existence, detection)
     log_missed = np.log(np.maximum(not_seen, math.exp(LOG_TINY)))
 
-    ppp = density.undetected
     detection_undetected, undetected_if_seen, if_missed = sensor.of_undetected(ppp.mean, ppp.cov)
     log_detected = ppp.log_weight + log_of_each(undetected_if_seen)
-    undetected: FirstDetectionDensity | UpdatedPairs
-    if radar is None:
-        undetected, log_e = first_detections(ppp, log_detected, z, sensor.R, reduction.gate)
-    else:
-        undetected = updated_pairs(ppp.mean, ppp.cov, log_detected, z, radar, reduction.gate)
-        log_e = log_first_detection(undetected, len(z))
+    undetected = gated_pairs(ppp.mean, ppp.cov, log_detected, *measured)
+    log_e = log_density(undetected, len(z))
     factors = scan.factors()
     log_birth_evidence = log_e + log_of_each(factors[:, 0]) + log_of_each(scan.ratio_if_first())
     log_clutter = log_of(sensor.clutter) + log_of_each(factors[:, 1])
@@ -107,7 +86,7 @@ def associate(
     log_new = np.maximum(np.logaddexp(log_birth_evidence, log_clutter), LOG_TINY)
 
     hypotheses, dropped = branch(
-        table,
+        density.hypotheses,
         known,
         log_missed,
         log_new,

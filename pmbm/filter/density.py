@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pmbm.kernels import twin
 from pmbm.types import ABSENT, BoolArray, FloatArray, GaussianMixture, IntArray, unchecked
 from pmbm.wording import counted
 
@@ -427,7 +426,7 @@ class Density:
 
     def hypothesis_probability(self) -> FloatArray:
         """(H,) marginal probability of each local hypothesis: its global hypotheses' weights."""
-        return probability_of_members(*self.hypotheses.columns(), len(self.local))
+        return probability_of_members(self.hypotheses, len(self.local))
 
     def with_undetected(self, undetected: Mixture) -> Density:
         return replace(self, undetected=undetected)
@@ -449,12 +448,9 @@ _OF_HELD: dict[str, Callable[[Any], Any]] = {
 """Tables of a `Density` of what a compiled step left."""
 
 
-@twin("probability")
-def probability_of_members(
-    cluster: Index, log_weight: FloatArray, start: Index, member: Index, locals_: int
-) -> FloatArray:
+def probability_of_members(table: Globals, locals_: int) -> FloatArray:
     """(locals_,) the weights of the global hypotheses that each local hypothesis is a member of."""
-    return summed(np.repeat(np.exp(log_weight), np.diff(start)), member, locals_)
+    return summed(np.exp(table.log_weight)[table.row_of_member()], table.member, locals_)
 
 
 def ragged(start: Index, count: Index) -> Index:

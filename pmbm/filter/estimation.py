@@ -72,7 +72,6 @@ def marginals(density: Density) -> Marginals:
     return Marginals(existence.clip(max=1.0), of_class, best)
 
 
-@twin("likeliest")
 def _likeliest(
     track: Index, newest: IntArray, mass: FloatArray, tracks: int, alike: float
 ) -> Index:

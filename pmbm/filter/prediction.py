@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from pmbm.filter.density import STATE, Density, Locals, Marks, Mixture
+from pmbm.filter.density import Density, Marks, Mixture
+from pmbm.filter.hypotheses.gaussian import symmetric
 from pmbm.filter.hypotheses.weights import log_of
 from pmbm.filter.models.detection import FixedDetection
 from pmbm.filter.models.protocols import Birth, Detection, Scores
@@ -42,19 +43,16 @@ def predict(
     birth : says how births and survivors are one mixture; None, one after the other.
     """
     local = density.local
+    mean, cov = _moved(local.mean, local.cov, transition)
     return Density(
         predict_undetected(density.undetected, transition, births, birth),
-        Locals(
-            local.track,
-            local.existence * transition.survival,
-            *_moved(local.mean, local.cov, transition),
-            local.box,
-            local.label,
-            local.newest,
-            local.shown,
-            local.history,
-            predict_marks(local.marks, transition),
-            transition.scores.aged(local.record, transition.dt),
+        replace(
+            local,
+            existence=local.existence * transition.survival,
+            mean=mean,
+            cov=cov,
+            marks=predict_marks(local.marks, transition),
+            record=transition.scores.aged(local.record, transition.dt),
         ),
         density.hypotheses,
         density.track_id,
@@ -81,8 +79,6 @@ def predict_marks(marks: Marks, transition: Transition) -> Marks:
 def _moved(
     mean: FloatArray, cov: FloatArray, transition: Transition
 ) -> tuple[FloatArray, FloatArray]:
-    """F m and F P F' + Q.  F P F' of all rows is one matrix product on the flattened P."""
+    """F m and F P F' + Q."""
     F, Q = transition.F, transition.Q
-    both_sides = (F[:, None, :, None] * F[:, None, :]).reshape(STATE**2, STATE**2)
-    moved = (cov.reshape(-1, STATE**2) @ both_sides.T).reshape(-1, STATE, STATE) + Q
-    return mean @ F.T, 0.5 * (moved + moved.transpose(0, 2, 1))
+    return mean @ F.T, symmetric(F @ cov @ F.T + Q)

@@ -18,7 +18,6 @@ from pmbm.filter.density import (
     starts,
     summed,
 )
-from pmbm.filter.hypotheses import clusters
 from pmbm.filter.hypotheses.clusters import factor, merge_equal, row_limit, split
 from pmbm.filter.hypotheses.gating import near
 from pmbm.filter.hypotheses.gaussian import moments
@@ -120,69 +119,15 @@ def _fewer_undetected(
 
 def _fewer(density: Density, limits: Reduction) -> tuple[Density, Mixture, ReductionStats]:
     """The detected objects with fewer hypotheses, and what is moved back into the PPP."""
-    local = density.local
-    columns, rows, track, tracks, recycled, probability, removed = _reduced(
-        *density.hypotheses.columns(),
-        local.existence,
-        local.track,
-        len(density.track_id),
-        log_of(limits.prune_hypothesis),
-        limits.max_hypotheses,
-        clusters.largest_table(limits.max_hypotheses),
-        limits.recycle_below,
-        limits.max_tracks,
-        limits.clustering,
-        limits.split_below,
-        clusters.WORTH_FACTORING,
-    )
-    fewer = replace(
-        density,
-        local=replace(local.take(rows), track=track),
-        hypotheses=Globals(*columns),
-        track_id=density.track_id[tracks],
-    )
-    return fewer, _returned(density, recycled, probability, limits), ReductionStats(*removed)
+    local, whole, tracks = density.local, density.hypotheses, len(density.track_id)
+    most = limits.max_hypotheses
+    cap = row_limit(whole, most) if limits.clustering else np.full(whole.clusters, most)
+    table, above = pruned(whole, log_of(limits.prune_hypothesis), cap)
 
-
-@twin("reduced")
-def _reduced(
-    cluster: Index,
-    log_weight: FloatArray,
-    start: Index,
-    member: Index,
-    existence: FloatArray,
-    track: Index,
-    tracks: int,
-    log_prune: float,
-    max_hypotheses: int,
-    largest_table: int,
-    recycle_below: float,
-    max_tracks: int,
-    clustering: bool,
-    split_below: float,
-    worth_factoring: int,
-) -> tuple[
-    tuple[Index, FloatArray, Index, Index],
-    Index,
-    Index,
-    Index,
-    Index,
-    FloatArray,
-    tuple[int, int, int, int, int],
-]:
-    """The columns of the reduced table; the local hypotheses kept, their tracks, and the tracks
-    kept; the rows recycled, and the probability of each; and counts in the order of
-    `ReductionStats`."""
-    whole = Globals(cluster, log_weight, start, member)
-    cap = np.full(whole.clusters, max_hypotheses)
-    if clustering:
-        cap = row_limit(whole, max_hypotheses)
-    table, above = pruned(whole, log_prune, cap)
-    dropped, over = len(whole) - above, above - len(table)
-
-    probability = probability_of_members(*table.columns(), len(existence))
-    faint = existence < recycle_below
-    surplus = _surplus_tracks(probability * existence, track, tracks, max_tracks)[track]
+    probability = probability_of_members(table, len(local))
+    faint = local.existence < limits.recycle_below
+    mass = probability * local.existence
+    surplus = _surplus_tracks(mass, local.track, tracks, limits.max_tracks)[local.track]
     tracks_capped = int((surplus & ~faint).sum())
     faint = faint | surplus
     recycled = np.flatnonzero(faint & (probability > 0))
@@ -196,22 +141,24 @@ def _reduced(
         # Hypotheses that differ stay different as long as nothing is taken out of them.
         table = merge_equal(emptied)
     equal = before - len(table)
-    if clustering:
-        table = factor(split(table, len(existence)), track, split_below)
-    used = np.zeros(len(track), bool)
-    used[table.member] = True
-    rows, names = np.flatnonzero(used), np.cumsum(used) - 1
-    alive = np.zeros(tracks, bool)
-    alive[track[rows]] = True
-    return (
-        (table.cluster, table.log_weight, table.start, names[table.member]),
-        rows,
-        (np.cumsum(alive) - 1)[track[rows]],
-        np.flatnonzero(alive),
-        recycled,
-        probability[recycled],
-        (dropped, over, equal, len(recycled), tracks_capped),
+    if limits.clustering:
+        table = factor(split(table, len(local)), local.track, limits.split_below)
+    rows, member = np.unique(table.member, return_inverse=True)
+    alive, track = np.unique(local.track[rows], return_inverse=True)
+    fewer = replace(
+        density,
+        local=replace(local.take(rows), track=track.reshape(-1)),
+        hypotheses=replace(table, member=member.reshape(-1)),
+        track_id=density.track_id[alive],
     )
+    removed = ReductionStats(
+        hypotheses_pruned=len(whole) - above,
+        hypotheses_capped=above - before,
+        hypotheses_merged=equal,
+        locals_recycled=len(recycled),
+        tracks_capped=tracks_capped,
+    )
+    return fewer, _returned(density, recycled, probability[recycled], limits), removed
 
 
 def pruned(table: Globals, log_threshold: float, cap: Index) -> tuple[Globals, int]:

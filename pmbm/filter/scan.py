@@ -41,6 +41,10 @@ class Scan:
         """(M,2)"""
         return self.detections.position[:, :2]
 
+    def covariance(self, R: FloatArray) -> FloatArray:
+        """R (2,2) of a measured position; (M,2,2) where a radar has one for each."""
+        return R if self.radar is None else self.radar.R
+
     @property
     def box(self) -> FloatArray:
         """(M,5) z, length, width, height, yaw."""

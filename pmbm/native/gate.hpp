@@ -1,5 +1,5 @@
 // Which measurements lie in the gate of which Gaussian, and what the undetected objects behind a
-// measurement look like.  The plain versions are _gate() of gating.py, _fuse() of update.py and what
+// measurement look like.  The plain versions are gating.py, _fused() of update.py and what
 // is named beside each function.
 #pragma once
 
@@ -183,46 +183,6 @@ void each_gated(const Innovations& g, const double* z, std::size_t measurements,
     }
 }
 
-// All pairs, sorted by Gaussian, then measurement.
-inline void gate(const Innovations& g, const double* z, std::size_t measurements, double threshold,
-                 std::vector<std::int64_t>& rows, std::vector<std::int64_t>& columns,
-                 std::vector<double>& whitened) {
-    const Gate gate(z, measurements, threshold);
-    std::vector<Hit> hits;
-    for (std::size_t i = 0; i < g.count; ++i) {
-        gate.sorted(g[i], hits);
-        for (const auto& hit : hits) {
-            rows.push_back(static_cast<std::int64_t>(i));
-            columns.push_back(hit.measurement);
-            whitened.push_back(hit.y0);
-            whitened.push_back(hit.y1);
-        }
-    }
-}
-
-// _gated() of gating.py: the pairs of those that weigh something, and their log weights.
-inline void weigh(const Expected& g, std::vector<std::int64_t>& rows,
-                  std::vector<std::int64_t>& columns, std::vector<double>& whitened,
-                  std::vector<double>& log_weight) {
-    std::size_t kept = 0;
-    log_weight.resize(rows.size());
-    for (std::size_t i = 0; i < rows.size(); ++i) {
-        const double y0 = whitened[2 * i], y1 = whitened[2 * i + 1];
-        const double weight =
-            g.log_height[static_cast<std::size_t>(rows[i])] - 0.5 * (y0 * y0 + y1 * y1);
-        if (!(weight > -std::numeric_limits<double>::infinity())) continue;
-        rows[kept] = rows[i];
-        columns[kept] = columns[i];
-        whitened[2 * kept] = y0;
-        whitened[2 * kept + 1] = y1;
-        log_weight[kept++] = weight;
-    }
-    rows.resize(kept);
-    columns.resize(kept);
-    whitened.resize(2 * kept);
-    log_weight.resize(kept);
-}
-
 // log of the sum of exp(value) for each of M measurements; -inf where nothing was added.
 class LogSums {
  public:
@@ -310,7 +270,7 @@ inline void explained(const Innovations& g, const double* log_height, const std:
     explained(std::move(parts), measurements, origins, shares);
 }
 
-// _resume() of recycling.py: of each measurement the origin that explains more than `most` of it,
+// _resumed() of recycling.py: of each measurement the origin that explains more than `most` of it,
 // or -1; not one of `known`, and each origin once, where probability (M,) times share is largest.
 inline std::vector<std::int64_t> resumed(std::vector<std::int64_t> origins,
                                          const std::vector<double>& shares, double most,
@@ -405,23 +365,6 @@ inline void move(const double* mean, const double* cov, std::size_t count, const
     covs.resize(16 * count);
     for (std::size_t i = 0; i < count; ++i) {
         move(mean + 4 * i, cov + 16 * i, F, Q, means.data() + 4 * i, covs.data() + 16 * i);
-    }
-}
-
-// Kalman updates of the Gaussians row[i] by whitened innovations y (n,2).
-inline void correct(const double* mean, const double* cov, const Innovations& g, const double* R,
-                    const std::int64_t* row, const double* y, std::size_t count,
-                    std::vector<double>& means, std::vector<double>& covs) {
-    means.reserve(4 * count);
-    covs.reserve(16 * count);
-    for (std::size_t i = 0; i < count; ++i) {
-        const auto r = row[i];
-        const Correction c(cov + 16 * r, g[static_cast<std::size_t>(r)], R);
-        for (int a = 0; a < 4; ++a) {
-            means.push_back(mean[4 * r + a] + c.W[2 * a] * y[2 * i] +
-                            c.W[2 * a + 1] * y[2 * i + 1]);
-        }
-        covs.insert(covs.end(), c.after, c.after + 16);
     }
 }
 

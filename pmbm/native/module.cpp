@@ -89,68 +89,12 @@ nb::tuple k_best_choices(Input<std::int64_t> row, Input<std::int64_t> column, In
                           hand_over(std::move(takers)), hand_over(std::move(taken)));
 }
 
-pmbm::Innovations innovations(const Table<double>& expected, const Input<double>& l11,
-                              const Input<double>& l21, const Input<double>& l22) {
-    return {expected.data(), l11.data(), l21.data(), l22.data(), l11.size()};
-}
-
-nb::tuple gate(Table<double> expected, Input<double> l11, Input<double> l21, Input<double> l22,
-               Table<double> z, double threshold) {
-    std::vector<std::int64_t> rows, columns;
-    std::vector<double> whitened;
-    {
-        nb::gil_scoped_release released;
-        pmbm::gate(innovations(expected, l11, l21, l22), z.data(), z.shape(0), threshold, rows,
-                   columns, whitened);
-    }
-    return nb::make_tuple(hand_over(std::move(rows)), hand_over(std::move(columns)),
-                          rows_of<2>(std::move(whitened)));
-}
-
-// The columns of `Innovation`.
-nb::tuple hand_over(pmbm::Expected&& expected) {
-    return nb::make_tuple(rows_of<2>(std::move(expected.centre)),
-                          hand_over(std::move(expected.l11)), hand_over(std::move(expected.l21)),
-                          hand_over(std::move(expected.l22)));
-}
-
-// Returns the columns of `Innovation`, and those of the pairs.
-nb::tuple gated(Table<double> mean, Table<double> cov, Table<double> R, Input<double> prior,
-                Table<double> z, double threshold) {
-    std::vector<std::int64_t> rows, columns;
-    std::vector<double> whitened, log_weight;
-    pmbm::Expected expected(mean.data(), cov.data(), R.data(), prior.data(), false, prior.size());
-    pmbm::gate(expected.view(), z.data(), z.shape(0), threshold, rows, columns, whitened);
-    pmbm::weigh(expected, rows, columns, whitened, log_weight);
-    return nb::make_tuple(hand_over(std::move(expected)), hand_over(std::move(rows)),
-                          hand_over(std::move(columns)), rows_of<2>(std::move(whitened)),
-                          hand_over(std::move(log_weight)));
-}
-
-// Returns the columns of `Innovation`, log heights, and the log of each measurement's density.
-nb::tuple first_detections(Table<double> mean, Table<double> cov, Table<double> R, Input<double> log_prior,
-                 Table<double> z, double threshold) {
-    pmbm::Expected expected(mean.data(), cov.data(), R.data(), log_prior.data(), true,
-                            log_prior.size());
-    auto density = pmbm::log_density(expected.view(), expected.log_height.data(), z.data(),
-                                     z.shape(0), threshold);
-    auto height = hand_over(std::move(expected.log_height));
-    return nb::make_tuple(hand_over(std::move(expected)), height, hand_over(std::move(density)));
-}
-
 Output<double> share_inside(Table<double> mean, Table<double> cov, Input<double> pose,
                             double centre, double half_angle, double max_range) {
     std::vector<double> share(mean.shape(0));
     pmbm::share_inside(mean.data(), cov.data(), share.size(),
                        {pose.data(), centre, half_angle, max_range}, share.data());
     return hand_over(std::move(share));
-}
-
-// Returns existence after a miss, and the weight of missing.
-nb::tuple missed(Input<double> r, Input<double> P_D) {
-    std::vector<double> existence(r.size()), left(r.size());
-    pmbm::missed(r.data(), P_D.data(), r.size(), existence.data(), left.data());
-    return nb::make_tuple(hand_over(std::move(existence)), hand_over(std::move(left)));
 }
 
 Output<std::int64_t> suppress_overlaps(Table<double> position, Table<double> box,
@@ -296,121 +240,10 @@ Output<double> level_evidence(Input<double> log_odds, Input<double> level, doubl
     return array_of(std::move(height), {M, L});
 }
 
-// Returns the missed, the detected and the new candidates that are used, and the members' names.
-nb::tuple used(Input<std::int64_t> member, std::int64_t missed, std::int64_t detected,
-               std::int64_t fresh) {
-    std::vector<pmbm::Ints> runs;
-    auto renumbered = pmbm::used(member.data(), member.size(), {missed, detected, fresh}, runs);
-    return nb::make_tuple(hand_over(std::move(runs[0])), hand_over(std::move(runs[1])),
-                          hand_over(std::move(runs[2])), hand_over(std::move(renumbered)));
-}
-
-Output<std::int64_t> resumed(Table<double> expected, Input<double> l11, Input<double> l21,
-                             Input<double> l22, Input<double> log_height,
-                             Input<std::int64_t> origin, Input<double> share, Table<double> z,
-                             Input<double> log_total, double threshold, double most,
-                             Input<double> probability, Input<std::int64_t> known) {
-    std::vector<std::int64_t> origins;
-    std::vector<double> shares;
-    pmbm::explained(innovations(expected, l11, l21, l22), log_height.data(), origin.data(),
-                    share.data(), z.data(), log_total.data(), z.shape(0), threshold, origins,
-                    shares);
-    return hand_over(pmbm::resumed(std::move(origins), shares, most, probability.data(),
-                                   known.data(), known.size()));
-}
-
-// Returns means (n,4) and covariances (n,4,4).
-nb::tuple move(Table<double> mean, Table<double> cov, Table<double> F, Table<double> Q) {
-    std::vector<double> means, covs;
-    pmbm::move(mean.data(), cov.data(), mean.shape(0), F.data(), Q.data(), means, covs);
-    return nb::make_tuple(rows_of<4>(std::move(means)), matrices_of<4>(std::move(covs)));
-}
-
-// Likewise.
-nb::tuple correct(Table<double> mean, Table<double> cov, Table<double> expected,
-                  Input<double> l11, Input<double> l21, Input<double> l22, Table<double> R, Input<std::int64_t> row, Table<double> y) {
-    std::vector<double> means, covs;
-    pmbm::correct(mean.data(), cov.data(),
-                  {expected.data(), l11.data(), l21.data(), l22.data(), l11.size()}, R.data(), row.data(),
-                  y.data(), row.size(), means, covs);
-    return nb::make_tuple(rows_of<4>(std::move(means)), matrices_of<4>(std::move(covs)));
-}
-
-// Likewise.
-nb::tuple fuse(Table<double> expected, Input<double> l11, Input<double> l21, Input<double> l22,
-          Input<double> log_height, Table<double> mean_of, Table<double> cov_of, Table<double> R,
-          Table<double> z, Input<double> log_total, double threshold) {
-    const auto count = z.shape(0);
-    std::vector<double> mean(4 * count), cov(16 * count);
-    for (std::size_t j = 0; j < count; ++j) {
-        pmbm::unexplained(z.data() + 2 * j, R.data(), mean.data() + 4 * j, cov.data() + 16 * j);
-    }
-    pmbm::fuse(innovations(expected, l11, l21, l22), log_height.data(), mean_of.data(),
-               cov_of.data(), R.data(), z.data(), log_total.data(), z.shape(0), threshold, mean.data(),
-               cov.data());
-    return nb::make_tuple(rows_of<4>(std::move(mean)), matrices_of<4>(std::move(cov)));
-}
-
 pmbm::TableView view(const Input<std::int64_t>& cluster, const Input<double>& log_weight,
                      const Input<std::int64_t>& start, const Input<std::int64_t>& member) {
     return {cluster.data(), start.data(), member.data(), log_weight.data(),
             static_cast<std::int64_t>(cluster.size())};
-}
-
-nb::tuple hand_over(pmbm::Table&& table) {
-    return nb::make_tuple(hand_over(std::move(table.cluster)),
-                          hand_over(std::move(table.log_weight)),
-                          hand_over(std::move(table.start)), hand_over(std::move(table.member)));
-}
-
-// Returns the table's columns, and how many children were dropped.
-nb::tuple branched(Input<std::int64_t> cluster, Input<double> log_weight,
-                   Input<std::int64_t> start, Input<std::int64_t> member,
-                   Input<std::int64_t> row, Input<std::int64_t> measurement,
-                   Input<double> pair_log_weight, Input<double> log_missed, Input<double> log_new,
-                   std::int64_t max_hypotheses, double largest_table,
-                   std::int64_t largest_search, double log_negligible, bool clustering) {
-    pmbm::Table children;
-    std::int64_t dropped = 0;
-    {
-        nb::gil_scoped_release released;
-        children = pmbm::branched(
-            view(cluster, log_weight, start, member),
-            {row.data(), measurement.data(), pair_log_weight.data(),
-             static_cast<std::int64_t>(row.size())},
-            log_missed.data(), static_cast<std::int64_t>(log_missed.size()), log_new.data(),
-            static_cast<std::int64_t>(log_new.size()),
-            {max_hypotheses, largest_table, largest_search, -log_negligible, log_negligible,
-             clustering},
-            dropped);
-    }
-    return nb::make_tuple(hand_over(std::move(children)), dropped);
-}
-
-// Returns the table's columns; the rows kept, their tracks, and the tracks kept; the rows recycled
-// and their probabilities; and counts in the order of `ReductionStats`.
-nb::tuple reduced(Input<std::int64_t> cluster, Input<double> log_weight, Input<std::int64_t> start,
-                  Input<std::int64_t> member, Input<double> existence, Input<std::int64_t> track,
-                  std::int64_t tracks, double log_prune, std::int64_t max_hypotheses,
-                  double largest_table, double recycle_below, std::int64_t max_tracks,
-                  bool clustering, double split_below, std::int64_t worth_factoring) {
-    pmbm::ReducedTable made;
-    {
-        nb::gil_scoped_release released;
-        made = pmbm::reduced(owned(view(cluster, log_weight, start, member)), existence.data(),
-                             track.data(), track.size(), static_cast<std::size_t>(tracks),
-                             {log_prune, max_hypotheses, largest_table, recycle_below, max_tracks,
-                              clustering, split_below, worth_factoring});
-    }
-    const auto recycled = made.recycled.size();
-    return nb::make_tuple(hand_over(std::move(made.table)),
-                          hand_over(std::move(made.compact.rows)),
-                          hand_over(std::move(made.compact.track)),
-                          hand_over(std::move(made.compact.tracks)),
-                          hand_over(std::move(made.recycled)),
-                          hand_over(std::move(made.probability)),
-                          nb::make_tuple(made.pruned, made.capped, made.merged, recycled,
-                                         made.tracks_capped));
 }
 
 Output<std::int64_t> merge_groups(Input<double> log_weight, Table<double> mean, Table<double> cov,
@@ -430,18 +263,6 @@ nb::tuple box_rays(Table<double> offset, Table<double> box, Input<double> widen,
     return nb::make_tuple(hand_over(std::move(rays.first)), hand_over(std::move(rays.bearing)),
                           hand_over(std::move(rays.distance)), hand_over(std::move(rays.margin)),
                           hand_over(std::move(rays.cores)));
-}
-
-Output<std::int64_t> likeliest(Input<std::int64_t> track, Input<std::int64_t> newest,
-                               Input<double> mass, std::int64_t tracks, double alike) {
-    return hand_over(pmbm::likeliest(track.data(), newest.data(), mass.data(), track.size(),
-                                     static_cast<std::size_t>(tracks), alike));
-}
-
-Output<double> probability(Input<std::int64_t> cluster, Input<double> log_weight,
-                           Input<std::int64_t> start, Input<std::int64_t> member,
-                           std::int64_t locals) {
-    return hand_over(pmbm::probability(view(cluster, log_weight, start, member), locals));
 }
 
 pmbm::OcclusionRules occlusion_rules(const nb::tuple& constants, const Table<double>& nodes,
@@ -853,29 +674,15 @@ NB_MODULE(_native, m) {
     m.def("k_best", &k_best, nb::arg("cost"), nb::arg("rows"), nb::arg("widths"), nb::arg("ks"));
     m.def("k_best_choices", &k_best_choices, nb::arg("row"), nb::arg("column"), nb::arg("cost"),
           nb::arg("first_row"), nb::arg("first_column"), nb::arg("ks"), nb::arg("margin"));
-    m.def("gate", &gate, nb::arg("expected"), nb::arg("l11"), nb::arg("l21"), nb::arg("l22"),
-          nb::arg("z"), nb::arg("threshold"));
-    m.def("gated", &gated);
-    m.def("first_detections", &first_detections);
     m.def("share_inside", &share_inside);
-    m.def("missed", &missed);
     m.def("level_evidence", &level_evidence);
     m.def("read_off", &read_off);
     m.def("objects", &objects);
     m.def("known_as_they_are", &known_as_they_are);
     m.def("suppress_overlaps", &suppress_overlaps);
     m.def("reported", &reported);
-    m.def("used", &used);
-    m.def("resumed", &resumed);
-    m.def("move", &move);
-    m.def("correct", &correct);
-    m.def("fuse", &fuse);
-    m.def("branched", &branched);
-    m.def("reduced", &reduced);
     m.def("merge_groups", &merge_groups);
     m.def("box_rays", &box_rays);
-    m.def("likeliest", &likeliest);
-    m.def("probability", &probability);
     m.def("settled", &settled);
     m.def("step", &step);
     m.def("neighbours", &neighbours);

@@ -1,5 +1,5 @@
 // Gating and update by measurements each of which has a covariance of its own, and perhaps a radial
-// velocity: a radar's.  The plain version is radar_pairs.py.
+// velocity: a radar's.  The plain version is gating.py.
 #pragma once
 
 #include <algorithm>

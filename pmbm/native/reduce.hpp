@@ -1,4 +1,4 @@
-// The reduction of the hypotheses of detected objects, whole.  The plain version is _reduced() of
+// The reduction of the hypotheses of detected objects, whole.  The plain version is _fewer() of
 // reduction.py, with the functions named beside each of tables.hpp.
 #pragma once
 

@@ -1,5 +1,5 @@
 // What a sensor can see, and what a miss says.  The plain versions are _share_inside() of view.py,
-// _missed() of sensor.py, and say what is meant.
+// ObservationModel.missed() of sensor.py, and say what is meant.
 #pragma once
 
 #include <algorithm>

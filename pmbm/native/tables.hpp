@@ -388,7 +388,7 @@ inline Compacted compacted(const std::int64_t* member, std::size_t members,
     return c;
 }
 
-// _used() of update.py: of candidates in runs of these lengths, those that are members, counted from
+// update() of update.py: of candidates in runs of these lengths, those that are members, counted from
 // the start of their run, and what the members are called among them.
 inline Ints used(const std::int64_t* member, std::size_t members,
                  const std::vector<std::int64_t>& lengths, std::vector<Ints>& runs) {

@@ -298,7 +298,7 @@ OTHER_PLANTS = [
     ),
     Plant(
         "a line of sight that depends on what is known of the object",
-        "pmbm/filter/hypotheses/radar_pairs.py",
+        "pmbm/filter/hypotheses/gating.py",
         "sight = radar.sight[pairs.measurement]",
         "sight = pairs.mean[:, :2] / np.hypot(*pairs.mean[:, :2].T)[:, None]",
         by="tests/unit/test_filter_sensors.py::test_deliveries_of_one_time_in_any_order_give_the_same_posterior",

@@ -358,22 +358,22 @@ void fuzz_gate() {
         z.push_back(on_a_line ? 1.0 : spread * normal(random_source));
     }
     const pmbm::Innovations g{expected.data(), l11.data(), l21.data(), l22.data(), n};
-    pmbm::Ints rows, columns;
-    pmbm::Floats whitened;
-    pmbm::gate(g, z.data(), m, threshold, rows, columns, whitened);
-    std::size_t at = 0;
+    const pmbm::Gate gate(z.data(), m, threshold);
+    std::vector<pmbm::Hit> hits;
     for (std::size_t i = 0; i < n; ++i) {
+        gate.sorted(g[i], hits);
+        std::size_t at = 0;
         for (std::size_t j = 0; j < m; ++j) {
             const double y0 = (z[2 * j] - expected[2 * i]) / l11[i];
             const double y1 = (z[2 * j + 1] - expected[2 * i + 1] - l21[i] * y0) / l22[i];
             if (y0 * y0 + y1 * y1 >= threshold) continue;
-            require(at < rows.size() && rows[at] == static_cast<std::int64_t>(i) &&
-                        columns[at] == static_cast<std::int64_t>(j),
+            require(at < hits.size() && hits[at].measurement == static_cast<std::int64_t>(j) &&
+                        hits[at].y0 == y0 && hits[at].y1 == y1,
                     "a pair in the gate is missing or out of order");
             ++at;
         }
+        require(at == hits.size(), "a pair out of the gate");
     }
-    require(at == rows.size(), "a pair out of the gate");
     const bool is_log = chance() < 0.5;
     pmbm::Floats prior(height);
     if (!is_log) for (auto& one : prior) one = std::exp(one);
@@ -381,23 +381,6 @@ void fuzz_gate() {
     const pmbm::Expected own(mean.data(), cov.data(), R, prior.data(), is_log, n);
     require(own.centre == expected && own.l11 == l11 && own.l21 == l21 && own.l22 == l22,
             "an innovation of its own");
-    auto kept_rows = rows, kept_columns = columns;
-    auto kept_whitened = whitened;
-    pmbm::Floats log_weight;
-    pmbm::weigh(own, kept_rows, kept_columns, kept_whitened, log_weight);
-    std::size_t kept = 0;
-    for (std::size_t i = 0; i < rows.size(); ++i) {
-        if (height[rows[i]] == -kInf) continue;
-        require(kept < kept_rows.size() && kept_rows[kept] == rows[i] &&
-                    kept_columns[kept] == columns[i] &&
-                    kept_whitened[2 * kept + 1] == whitened[2 * i + 1] &&
-                    log_weight[kept] <= own.log_height[rows[i]],
-                "a possible pair is missing, or weighs too much");
-        ++kept;
-    }
-    require(kept == kept_rows.size() && kept == log_weight.size() &&
-                2 * kept == kept_whitened.size(),
-            "an impossible pair");
     const auto groups =
         pmbm::merge_groups(height.data(), mean.data(), cov.data(), n, threshold, chance(), 1e-6);
     for (std::size_t i = 0; i < n; ++i) {
@@ -587,8 +570,8 @@ void fuzz_steps() {
         require(std::set<std::int64_t>(after->track_id.begin(), after->track_id.end()).size() ==
                     tracks, "an id twice");
         for (std::size_t t = 0; t < tracks; ++t) {
-            require(after->track_existence[t] >= 0 && after->track_existence[t] <= 1, "existence");
-            require(after->track[static_cast<std::size_t>(after->best[t])] ==
+            require(after->tracks.existence[t] >= 0 && after->tracks.existence[t] <= 1, "existence");
+            require(after->track[static_cast<std::size_t>(after->tracks.best[t])] ==
                         static_cast<std::int64_t>(t), "the best of another track");
         }
         for (std::size_t p = 0; p < after->undetected.size(); ++p) {

@@ -25,7 +25,7 @@ from pmbm.filter import (
     tracker,
 )
 from pmbm.filter.density import BEFORE, MISSED, Mixture
-from pmbm.filter.hypotheses.radar_pairs import updated_pairs
+from pmbm.filter.hypotheses.gating import gated_pairs
 from pmbm.filter.models.radar import RadarScan, log_clutter_velocity, position_covariance
 from pmbm.filter.models.view import View
 from pmbm.types import MountedSensor
@@ -408,7 +408,7 @@ def test_position_and_radial_velocity_are_one_measurement_of_three_components():
     sensor = Sensor(range_sd=0.2, azimuth_sd=0.01, radial_velocity_sd=0.15)
     frame = delivery(0.0, [z], pose=(*place, 0.3), radial=np.array([radial]), velocity=velocity)
     radar = RadarScan.of(sensor, frame)
-    pairs = updated_pairs(mean[None], cov[None], np.zeros(1), z[None], radar, 100.0)
+    pairs = gated_pairs(mean[None], cov[None], np.zeros(1), z[None], radar.R, 100.0, radar)
 
     sight = (z - place) / np.hypot(*(z - place))
     across = sight[0] * velocity[1] - sight[1] * velocity[0]
@@ -447,7 +447,7 @@ def test_a_radial_velocity_is_as_sure_as_the_radar_says():
 
 
 def test_a_radar_without_its_own_noise_is_a_lidar():
-    """The plain pairs against the compiled step, where R is the same for all measurements."""
+    """Where R is the same for all measurements, and radial velocities say next to nothing."""
     lidar = PMBMTracker(PMBMConfig(sensor=Sensor(position_sd=0.5)))
     radar = PMBMTracker(PMBMConfig(sensor=Sensor(position_sd=0.5, radial_velocity_sd=1e6,
                                                  clutter_speed_sd=1e-3)))  # fmt: skip

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filter_problems import bernoullis
+from mark_builders import delivery
 
-from pmbm import PMBMConfig, Tracks, kernels
+from pmbm import PMBMConfig, Site, Tracks, kernels
 from pmbm.filter import (
     BirthMap,
     BroadBirth,
@@ -25,6 +27,9 @@ from pmbm.filter import (
     compiled,
     tracker,
 )
+from pmbm.filter.density import Density, Globals, Mixture, starts
+from pmbm.filter.hypotheses.clusters import factor, merge_equal
+from pmbm.filter.hypotheses.weights import normalised
 from pmbm.filter.models.score_record import RecordWeights, ScoreRecord
 from pmbm.labels import Label
 from pmbm.score import ScoreModel
@@ -184,6 +189,98 @@ def test_the_compiled_step_of_several_sensors_is_the_plain_one(name, scenario):
     recording = load_scenario(scenario).record(seed=103)
     in_order = sorted(recording.detections, key=lambda one: one.time)
     check_steps(SEVERAL[name], _With(recording.site, in_order), 2 * EVERYDAY)
+
+
+def random_table(seed):
+    """A mixture of a few clusters, in which some tracks move together, and the tracks (H,)."""
+    random = np.random.default_rng(seed)
+    cluster, weight, rows, track = [], [], [], []
+    for c in range(6):
+        locals_of = []
+        for _ in range(random.integers(1, 6)):
+            locals_of.append(len(track) + np.arange(random.integers(1, 4)))
+            track += [track[-1] + 1 if track else 0] * len(locals_of[-1])
+        count = int(random.integers(1, 30))
+        picks = [random.integers(-1, len(own), count) for own in locals_of]
+        for one, other in zip(picks[:-1:3], picks[1::3], strict=False):
+            other[:] = np.minimum(other, one)
+        for row in range(count):
+            rows.append(
+                [own[p[row]] for own, p in zip(locals_of, picks, strict=True) if p[row] >= 0]
+            )
+        cluster += [c] * count
+        weight.append(random.dirichlet(np.ones(count)))
+    member = np.array([m for row in rows for m in row], dtype=np.intp)
+    table = Globals(
+        np.array(cluster),
+        np.log(np.concatenate(weight)),
+        starts(np.array([*map(len, rows)])),
+        member,
+    )
+    return table, np.array(track)
+
+
+LIMITS = {
+    "nothing": {"recycle_below": 0.0},
+    "prune": {"prune_hypothesis": 0.02},
+    "cap": {"max_hypotheses": 3},
+    "recycle": {"recycle_below": 0.4},
+    "forget": {"recycle_below": 0.4, "recycle": False},
+    "few tracks": {"recycle_below": 0.2, "max_tracks": 7},
+    "in one": {"clustering": False, "recycle_below": 0.4, "prune_hypothesis": 0.02},
+    "factor a little": {"split_below": 0.02},
+    "factor": {"split_below": 0.15, "recycle_below": 0.1},
+    "factor all": {"split_below": 10.0},
+}
+SIZES = {
+    "as they are": {},
+    "small tables": {"clusters.largest_table": lambda _: 60},
+    "short searches": {"branching.LARGEST_SEARCH": 25},
+}
+"""Limits that scenes seldom reach."""
+
+
+def random_state(seed, config):
+    """Tracks of such a table, each a few hypotheses around a place, two places to a cluster."""
+    table, track = random_table(seed)
+    random, H = np.random.default_rng(seed), len(track)
+    if not config.reduction.clustering:
+        table = replace(table, cluster=np.zeros_like(table.cluster))
+        table = replace(table, log_weight=normalised(table.log_weight, table.cluster))
+    place = random.uniform(-40, 40, (track.max() + 1, 2))
+    mean = np.column_stack([place[track] + random.normal(size=(H, 2)), random.normal(size=(H, 2))])
+    history = np.zeros((H, 1), np.int32)
+    local = replace(
+        bernoullis(track, random.random(H), mean, np.tile(np.eye(4), (H, 1, 1)), history=history),
+        newest=np.arange(H),
+        shown=random.random(H) < 0.3,
+    )
+    density = Density(Mixture.empty(), local, table, 10 * np.arange(track.max() + 1), 1000)
+    return replace(State.initial(config), time=0.0, density=density), place
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("name", LIMITS)
+def test_the_compiled_step_of_any_hypotheses_is_the_plain_one(monkeypatch, name, size):
+    """Clusters that stay apart, that measurements tie together, and measurements alone."""
+    monkeypatch.setattr("pmbm.filter.hypotheses.clusters.WORTH_FACTORING", 8)
+    for where, value in SIZES[size].items():
+        monkeypatch.setattr(f"pmbm.filter.hypotheses.{where}", value)
+    config = replace(PMBMConfig.textbook(), reduction=Reduction(**LIMITS[name]))
+    for seed in range(6):
+        state, place = random_state(seed, config)
+        random = np.random.default_rng([7, seed])
+        near = place[random.integers(0, len(place), random.integers(0, 9))]
+        z = np.concatenate([near + random.normal(size=near.shape), random.uniform(-40, 40, (2, 2))])
+        frame, state = tracker._next_frame(config, Site(), state, delivery(0.1, z))
+        check_step(config, Site(), state, frame)
+
+
+def test_the_reductions_had_something_to_do():
+    table, track = random_table(0)
+    merged = merge_equal(table)
+    found = [factor(merged, track, tolerance).clusters for tolerance in (1e-9, 0.15, 10.0)]
+    assert merged.clusters <= found[0] < found[1] < found[2]
 
 
 @pytest.mark.slow

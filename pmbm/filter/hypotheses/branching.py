@@ -8,27 +8,15 @@ import numpy as np
 
 from pmbm.assignment import k_best_choices
 from pmbm.filter.density import Globals, Index, ragged, starts, summed
-from pmbm.filter.hypotheses import clusters
 from pmbm.filter.hypotheses.clusters import joined, row_limit
 from pmbm.filter.hypotheses.gating import GatedPairs
-from pmbm.filter.hypotheses.radar_pairs import UpdatedPairs
 from pmbm.filter.hypotheses.weights import likely, log_of, normalised
-from pmbm.kernels import twin
 from pmbm.types import FloatArray
 
 LARGEST_SEARCH = 300_000
 """Options of a track and a measurement that are looked through in one cluster in one scan.  A
 cluster of more, such as a scan of thousands of detections on one spot, goes on from its likeliest
 parents alone and gives them fewer children, so that no frame stalls."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Options:
-    """Gated pairs (n,) as the search sees them: local hypothesis, measurement, log weight."""
-
-    row: Index
-    measurement: Index
-    log_weight: FloatArray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -54,7 +42,7 @@ class Children:
 
 def branch(
     table: Globals,
-    known: GatedPairs | UpdatedPairs,
+    known: GatedPairs,
     log_missed: FloatArray,
     log_new: FloatArray,
     *,
@@ -68,63 +56,25 @@ def branch(
     log_missed (H,) : what missing each local hypothesis weighs.  log_new (M,) : what each
     measurement weighs as a new object or clutter.
     """
-    log_negligible = log_of(negligible)
-    columns, dropped = _branched(
-        *table.columns(),
-        known.row,
-        known.measurement,
-        known.log_weight,
-        log_missed,
-        log_new,
-        max_hypotheses,
-        clusters.largest_table(max_hypotheses),
-        LARGEST_SEARCH,
-        log_negligible,
-        clustering,
-    )
-    return Globals(*columns), dropped
-
-
-@twin("branched")
-def _branched(
-    cluster: Index,
-    log_weight: FloatArray,
-    start: Index,
-    member: Index,
-    row: Index,
-    measurement: Index,
-    pair_log_weight: FloatArray,
-    log_missed: FloatArray,
-    log_new: FloatArray,
-    max_hypotheses: int,
-    largest_table: int,
-    largest_search: int,
-    log_negligible: float,
-    clustering: bool,
-) -> tuple[tuple[Index, FloatArray, Index, Index], int]:
-    """The columns of the children's table, and how many children were dropped."""
-    table = Globals(cluster, log_weight, start, member)
-    known = Options(row, measurement, pair_log_weight)
     H, M = len(log_missed), len(log_new)
     if clustering:
-        parents, cluster_of = joined(table, H, row, measurement, M, max_hypotheses)
+        parents, cluster_of = joined(table, H, known.row, known.measurement, M, max_hypotheses)
         allowed = row_limit(parents, max_hypotheses)
     else:
         parents, cluster_of = table, np.zeros(M, np.intp)
         allowed = np.full(parents.clusters, max_hypotheses)
-    parents = _affordable(parents, np.bincount(row, minlength=H), largest_search)
+    parents = _affordable(parents, np.bincount(known.row, minlength=H))
     children = best_children(
-        parents, cluster_of, known, log_missed, log_new, allowed, log_negligible, largest_search
+        parents, cluster_of, known, log_missed, log_new, allowed, log_of(negligible)
     )
-    made = _over_candidates(parents, children, cluster_of, known, H)
-    return made.columns(), children.dropped
+    return _over_candidates(parents, children, cluster_of, known, H), children.dropped
 
 
-def _affordable(parents: Globals, pairs_of: Index, largest_search: int) -> Globals:
-    """The heaviest rows of each cluster whose options are together at most `largest_search`, one at
+def _affordable(parents: Globals, pairs_of: Index) -> Globals:
+    """The heaviest rows of each cluster whose options are together at most `LARGEST_SEARCH`, one at
     least.  pairs_of (H,) : options of each local hypothesis."""
     choices = pairs_of[parents.member]
-    if choices.sum() <= largest_search:
+    if choices.sum() <= LARGEST_SEARCH:
         return parents
     options = summed(choices.astype(np.float64), parents.row_of_member(), len(parents))
     order = np.lexsort((-parents.log_weight, parents.cluster))
@@ -132,7 +82,7 @@ def _affordable(parents: Globals, pairs_of: Index, largest_search: int) -> Globa
     so_far = np.cumsum(options[order])
     before = (so_far - options[order])[first]
     kept = np.zeros(len(parents), bool)
-    kept[order] = so_far - before[parents.cluster] <= largest_search
+    kept[order] = so_far - before[parents.cluster] <= LARGEST_SEARCH
     kept[order[first]] = True
     length = np.diff(parents.start)
     return Globals(
@@ -146,12 +96,11 @@ def _affordable(parents: Globals, pairs_of: Index, largest_search: int) -> Globa
 def best_children(
     parents: Globals,
     cluster_of: Index,
-    known: Options,
+    known: GatedPairs,
     log_missed: FloatArray,
     log_new: FloatArray,
     allowed: Index,
     log_negligible: float,
-    largest_search: int = LARGEST_SEARCH,
 ) -> Children:
     """The best children of every parent; one of weight w has at most ceil(`allowed` w), where
     `allowed` (C,) is for each cluster.
@@ -180,7 +129,7 @@ def best_children(
     gain = known.log_weight - log_missed[known.row] - log_new[known.measurement]
     quota = np.ceil(allowed[parents.cluster] * np.exp(parents.log_weight) - 1e-9)
     options = summed(choices.astype(np.float64), row_of_entry, len(parents))
-    quota = np.minimum(quota, largest_search // np.maximum(options, 1))
+    quota = np.minimum(quota, LARGEST_SEARCH // np.maximum(options, 1))
     best = k_best_choices(
         np.cumsum(new_row) - 1,
         entry,
@@ -205,7 +154,7 @@ def best_children(
 
 
 def _over_candidates(
-    parents: Globals, children: Children, cluster_of: Index, known: Options, H: int
+    parents: Globals, children: Children, cluster_of: Index, known: GatedPairs, H: int
 ) -> Globals:
     """The children as rows over the candidates; `cluster_of` (M,) is the measurements'."""
     n = len(known.row)

@@ -1,213 +1,128 @@
-"""Pairs of Gaussians and the measurements in their gates, with their likelihoods."""
+"""Pairs of Gaussians and the measurements in their gates, and the Gaussians after these.
+
+The position comes first.  The radial velocity that a radar measures is taken in after it, linear in
+the state too: along the measured line of sight, not that to where an object is expected, so that
+the order of two sensors' deliveries of one time makes no difference.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 
-from pmbm.filter.density import Index, Mixture, summed
-from pmbm.filter.hypotheses.gaussian import Innovation
+from pmbm.filter.density import Index, summed
+from pmbm.filter.hypotheses.gaussian import (
+    Innovation,
+    corrected_cov,
+    corrected_mean,
+    gain,
+    symmetric,
+)
 from pmbm.filter.hypotheses.weights import log_of_each
-from pmbm.kernels import twin
+from pmbm.filter.models.radar import RadarScan
 from pmbm.types import FloatArray
-
-DENSE_BELOW = 20_000
-"""Gaussians times measurements; below it, looking at every pair costs less than a tree."""
-_NEIGHBOURS = 4
-"""Measurements fetched per Gaussian in the first, vectorised look-up."""
-_USUAL_WIDTH = 4.0
-"""Reaches up to this many times the median are looked up together."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GatedPairs:
-    """Gated pairs of a Gaussian and a measurement.
+    """Gated pairs of a Gaussian and a measurement, and the Gaussians after the measurement.
 
-    row (n,) : of the local table, or of the PPP.  measurement (n,).
-    y (n,2) : whitened innovation.
+    row (n,) : of the local table, or of the PPP, ascending.  measurement (n,).
     log_weight (n,) : log(r P_D N(z)) of a local hypothesis, log(w P_D N(z)) of a PPP component.
-    innovation : of every Gaussian, paired or not.
+    mean (n,4), cov (n,4,4) : of the Gaussian after the measurement.
     """
 
     row: Index
     measurement: Index
-    y: FloatArray
     log_weight: FloatArray
-    innovation: Innovation
+    mean: FloatArray
+    cov: FloatArray
 
     def weighted(self, log_factor: FloatArray) -> GatedPairs:
         """The same with the weights multiplied by exp(log_factor) (n,)."""
-        weight = self.log_weight + log_factor
-        return GatedPairs(self.row, self.measurement, self.y, weight, self.innovation)
+        return replace(self, log_weight=self.log_weight + log_factor)
 
-
-@dataclass(frozen=True, eq=False, slots=True)
-class FirstDetectionDensity:
-    """Density of first detections of undetected objects, over places.
-
-    innovation : of the PPP components.  log_height (P,) : log of w P_D times the height of N(z).
-    gate : squared distance up to which a component counts.
-    """
-
-    innovation: Innovation
-    log_height: FloatArray
-    gate: float
-
-    def pairs(self, z: FloatArray) -> GatedPairs:
-        """Gated pairs of components and measurements z (M,2)."""
-        return _paired(self.innovation, self.log_height, z, self.gate)
-
-    def log_density(self, z: FloatArray) -> FloatArray:
-        """(M,) log of the sum of w P_D N(z) over the components in whose gate z lies."""
-        pairs = self.pairs(z)
-        if not len(pairs.row):
-            return np.full(len(z), -np.inf)
-        top = pairs.log_weight.max()
-        return top + log_of_each(summed(np.exp(pairs.log_weight - top), pairs.measurement, len(z)))
+    def take(self, pairs: Index) -> GatedPairs:
+        return GatedPairs(
+            self.row[pairs],
+            self.measurement[pairs],
+            self.log_weight[pairs],
+            self.mean[pairs],
+            self.cov[pairs],
+        )
 
 
 def gated_pairs(
     mean: FloatArray,
     cov: FloatArray,
-    prior: FloatArray,
+    log_prior: FloatArray,
     z: FloatArray,
     R: FloatArray,
     threshold: float,
+    radar: RadarScan | None = None,
 ) -> GatedPairs:
-    """Pairs within the gate; a Gaussian that cannot be detected (0 in `prior`, r P_D) has none."""
-    innovation, row, measurement, y, log_weight = _gated(
-        mean, cov, R, prior, np.ascontiguousarray(z), threshold
-    )
-    return GatedPairs(row, measurement, y, log_weight, Innovation(*innovation))
+    """Pairs of a squared distance below `threshold`, which counts all measured components.
 
-
-@twin("gated")
-def _gated(
-    mean: FloatArray,
-    cov: FloatArray,
-    R: FloatArray,
-    prior: FloatArray,
-    z: FloatArray,
-    threshold: float,
-) -> tuple[tuple[FloatArray, ...], Index, Index, FloatArray, FloatArray]:
-    """The columns of the innovations, and rows, measurements, y and log weights of the pairs."""
-    innovation = Innovation.of(mean, cov, R)
-    pairs = _paired(innovation, log_of_each(prior) + innovation.log_norm(), z, threshold)
-    return innovation.columns(), pairs.row, pairs.measurement, pairs.y, pairs.log_weight
-
-
-def _paired(
-    innovation: Innovation, log_height: FloatArray, z: FloatArray, threshold: float
-) -> GatedPairs:
-    row, measurement, y = gate(innovation, z, threshold)
-    log_weight = log_height[row] - 0.5 * (y[:, 0] * y[:, 0] + y[:, 1] * y[:, 1])
-    possible = log_weight > -np.inf
-    if not possible.all():
-        row, measurement, y = row[possible], measurement[possible], y[possible]
-        log_weight = log_weight[possible]
-    return GatedPairs(row, measurement, y, log_weight, innovation)
-
-
-def first_detections(
-    ppp: Mixture, log_detected: FloatArray, z: FloatArray, R: FloatArray, threshold: float
-) -> tuple[FirstDetectionDensity, FloatArray]:
-    """The PPP as first detections see it, and log e (M,).
-
-    log_detected (P,) : log of w P_D.
+    mean (N,4), cov (N,4,4) : predicted.  log_prior (N,) : log of what their density is multiplied
+    by, r P_D or w P_D; those of -inf have no pair.
+    z (M,2) : positions.  R (2,2) or (M,2,2) : their covariances.  radar : what else is measured.
     """
-    innovation, log_height, log_e = _first_detections(
-        ppp.mean, ppp.cov, R, log_detected, np.ascontiguousarray(z), threshold
+    R = np.broadcast_to(R, (len(z), 2, 2))
+    # Reaches of the widest measurement: what is too far for it is too far for all.
+    widest = np.linalg.eigvalsh(R)[:, -1].max(initial=0.0)
+    spread = np.linalg.eigvalsh(cov[:, :2, :2])[:, -1] + widest
+    row, measurement = near(mean[:, :2], np.sqrt(threshold * spread) * (1 + 1e-9), z)
+    possible = log_prior[row] > -np.inf
+    row, measurement = row[possible], measurement[possible]
+    before, noise = cov[row], R[measurement]
+    innovation = Innovation.of(mean[row], before, noise)
+    y, W = innovation.whitened(z[measurement]), gain(before, innovation)
+    distance = (y * y).sum(axis=1)
+    pairs = GatedPairs(
+        row,
+        measurement,
+        log_prior[row] + innovation.log_norm() - 0.5 * distance,
+        corrected_mean(mean[row], W, y),
+        corrected_cov(before, W, noise, innovation),
     )
-    return FirstDetectionDensity(Innovation(*innovation), log_height, threshold), log_e
+    if radar is not None and radar.radial_speed is not None:
+        pairs, further = _with_radial_velocity(pairs, radar, radar.radial_speed)
+        distance = distance + further
+    return pairs.take(np.flatnonzero(distance < threshold))
 
 
-@twin("first_detections")
-def _first_detections(
-    mean: FloatArray,
-    cov: FloatArray,
-    R: FloatArray,
-    log_detected: FloatArray,
-    z: FloatArray,
-    threshold: float,
-) -> tuple[tuple[FloatArray, ...], FloatArray, FloatArray]:
-    """The columns of the innovations, log heights (P,), and log e (M,)."""
-    innovation = Innovation.of(mean, cov, R)
-    density = FirstDetectionDensity(innovation, log_detected + innovation.log_norm(), threshold)
-    return innovation.columns(), density.log_height, density.log_density(z)
-
-
-def gate(
-    innovation: Innovation, z: FloatArray, threshold: float
-) -> tuple[Index, Index, FloatArray]:
-    """All pairs with squared Mahalanobis distance of the innovation below `threshold`.
-
-    z (M,2).  Gives rows (n,) of the Gaussians, ascending, rows (n,) of the measurements, and the
-    whitened innovations (n,2), whose squared length is that distance.
-    """
-    return _gate(*innovation.columns(), np.ascontiguousarray(z), threshold)
-
-
-@twin("gate")
-def _gate(
-    expected: FloatArray,
-    l11: FloatArray,
-    l21: FloatArray,
-    l22: FloatArray,
-    z: FloatArray,
-    threshold: float,
-) -> tuple[Index, Index, FloatArray]:
-    innovation = Innovation(expected, l11, l21, l22)
-    if len(expected) * len(z) <= DENSE_BELOW:
-        y0, y1 = innovation.whiten_all(z)
-        row, column = np.nonzero(y0 * y0 + y1 * y1 < threshold)
-        return row, column, np.stack([y0[row, column], y1[row, column]], axis=1)
-    row, column = near(expected, innovation.reach(threshold), z)
-    y = innovation.whiten(row, z[column])
-    inside = np.flatnonzero(y[:, 0] * y[:, 0] + y[:, 1] * y[:, 1] < threshold)
-    return row[inside], column[inside], y[inside]
+def _with_radial_velocity(
+    pairs: GatedPairs, radar: RadarScan, speed: FloatArray
+) -> tuple[GatedPairs, FloatArray]:
+    """The pairs updated by the radial velocity (M,) as well, and its squared distance (n,)."""
+    sight = radar.sight[pairs.measurement]
+    PH = np.einsum("nij,nj->ni", pairs.cov[:, :, 2:4], sight)
+    S = (PH[:, 2:4] * sight).sum(axis=1) + radar.radial_variance[pairs.measurement]
+    error = speed[pairs.measurement] - (sight * pairs.mean[:, 2:4]).sum(axis=1)
+    distance, K = error**2 / S, PH / S[:, None]
+    updated = replace(
+        pairs,
+        log_weight=pairs.log_weight - 0.5 * (np.log(2 * np.pi * S) + distance),
+        mean=pairs.mean + K * error[:, None],
+        cov=symmetric(pairs.cov - K[:, :, None] * PH[:, None, :]),
+    )
+    return updated, distance
 
 
 def near(centre: FloatArray, radius: FloatArray, z: FloatArray) -> tuple[Index, Index]:
-    """Pairs of a centre (N,2) and a point (M,2) no further apart than `radius` (N,) of the centre,
-    and perhaps some that are, sorted by centre, then point."""
-    if len(centre) * len(z) <= DENSE_BELOW:
-        close = np.abs(centre[:, None, 0] - z[:, 0]) <= radius[:, None]
-        close &= np.abs(centre[:, None, 1] - z[:, 1]) <= radius[:, None]
-        row, column = np.nonzero(close)
-        return row, column
-    return _near_by_tree(centre, radius, z)
-
-
-def _near_by_tree(centre: FloatArray, radius: FloatArray, z: FloatArray) -> tuple[Index, Index]:
-    """`near` where there are too many pairs to look at each.
-
-    Most reaches are about equally wide and hold few points: these are looked up together.  The
-    crowded ones among them are looked up again, and the wide ones compared with every point.
-    """
+    """Pairs of a centre (N,2) and a point z (M,2) no further apart than `radius` (N,) of the
+    centre, sorted by centre, then point."""
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(z)
-    usual = radius <= _USUAL_WIDTH * np.median(radius)
-    rows = np.flatnonzero(usual)
-    k = min(_NEIGHBOURS, len(z))
-    distance, found = tree.query(
-        centre[rows], k=np.arange(1, k + 1), distance_upper_bound=radius[rows].max()
-    )
-    within = distance <= radius[rows][:, None]
-    crowded = within[:, -1].copy() if k < len(z) else np.zeros(len(rows), bool)
-    within[crowded] = False
-    i, j = np.nonzero(within)
-    again = rows[crowded]
-    lists = tree.query_ball_point(centre[again], radius[again])
-    length = np.fromiter(map(len, lists), np.intp, len(lists))
-    wide = np.flatnonzero(~usual)
-    close = np.hypot(*(centre[wide, :, None] - z.T).transpose(1, 0, 2)) <= radius[wide, None]
-    wide_row, wide_column = np.nonzero(close)
-    row = np.concatenate([rows[i], np.repeat(again, length), wide[wide_row]])
-    column = np.concatenate(
-        [found[i, j], np.fromiter(chain.from_iterable(lists), np.intp), wide_column]
-    )
-    order = np.lexsort((column, row))
-    return row[order], column[order]
+    found = cKDTree(z).query_ball_point(centre, radius, return_sorted=True)
+    row = np.repeat(np.arange(len(centre)), [len(points) for points in found])
+    return row, np.fromiter(chain.from_iterable(found), np.intp, len(row))
+
+
+def log_density(pairs: GatedPairs, measurements: int) -> FloatArray:
+    """(M,) log of the sum of the weights of the pairs that each measurement is of; -inf of none."""
+    top = pairs.log_weight.max(initial=-np.inf)
+    weight = np.exp(pairs.log_weight - top)
+    return top + log_of_each(summed(weight, pairs.measurement, measurements))

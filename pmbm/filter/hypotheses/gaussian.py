@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmbm.filter.density import Index
-from pmbm.kernels import twin
 from pmbm.types import FloatArray
 
 _LOG_2PI = float(np.log(2 * np.pi))
@@ -38,66 +37,14 @@ class Innovation:
         l22 = np.sqrt(cov[:, 1, 1] + R[..., 1, 1] - l21 * l21)
         return Innovation(mean[:, :2], l11, l21, l22)
 
-    def whiten(self, row: Index, z: FloatArray) -> FloatArray:
-        """L^-1 (z - H m), (n,2), of measurements z (n,2) under Gaussians `row` (n,)."""
-        nu = z - self.expected[row]
-        y = np.empty_like(nu)
-        y[:, 0] = nu[:, 0] / self.l11[row]
-        y[:, 1] = (nu[:, 1] - self.l21[row] * y[:, 0]) / self.l22[row]
-        return y
-
-    def whiten_all(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Both components (N,M) of L^-1 (z - H m), of all measurements z (M,2) under each."""
-        y0 = (z[:, 0] - self.expected[:, :1]) / self.l11[:, None]
-        y1 = (z[:, 1] - self.expected[:, 1:] - self.l21[:, None] * y0) / self.l22[:, None]
-        return y0, y1
-
-    def take(self, rows: Index) -> Innovation:
-        return Innovation(self.expected[rows], self.l11[rows], self.l21[rows], self.l22[rows])
-
-    def columns(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """The fields, C-ordered, as the kernels take them."""
-        return np.ascontiguousarray(self.expected), self.l11, self.l21, self.l22
+    def whitened(self, z: FloatArray) -> FloatArray:
+        """L^-1 (z - H m), (N,2), of a measurement (N,2) under each."""
+        y0 = (z[:, 0] - self.expected[:, 0]) / self.l11
+        return np.stack([y0, (z[:, 1] - self.expected[:, 1] - self.l21 * y0) / self.l22], axis=1)
 
     def log_norm(self) -> FloatArray:
         """(N,) log of the density's height: -log(2 pi) - log det(S) / 2."""
         return -_LOG_2PI - np.log(self.l11) - np.log(self.l22)
-
-    def reach(self, gate: float) -> FloatArray:
-        """(N,) the longer half-axis of the gate's ellipse, m."""
-        a, b, d = self.l11**2, self.l11 * self.l21, self.l21**2 + self.l22**2
-        largest = 0.5 * (a + d) + np.hypot(0.5 * (a - d), b)
-        return np.sqrt(gate * largest)
-
-
-def corrected(
-    mean: FloatArray,
-    cov: FloatArray,
-    innovation: Innovation,
-    row: Index,
-    y: FloatArray,
-    R: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Kalman updates (n,4) and (n,4,4) of the Gaussians `row` (n,) of mean (N,4) and cov (N,4,4) by
-    whitened innovations y (n,2)."""
-    return _correct(mean, cov, *innovation.columns(), R, row, y)
-
-
-@twin("correct")
-def _correct(
-    mean: FloatArray,
-    cov: FloatArray,
-    expected: FloatArray,
-    l11: FloatArray,
-    l21: FloatArray,
-    l22: FloatArray,
-    R: FloatArray,
-    row: Index,
-    y: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    chosen = Innovation(expected, l11, l21, l22).take(row)
-    W = gain(cov[row], chosen)
-    return corrected_mean(mean[row], W, y), corrected_cov(cov[row], W, R, chosen)
 
 
 def gain(cov: FloatArray, innovation: Innovation) -> FloatArray:

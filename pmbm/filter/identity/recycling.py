@@ -12,11 +12,7 @@ from numpy.typing import NDArray
 
 from pmbm.filter.association import Association
 from pmbm.filter.density import Density, Index, RecycledFrom
-from pmbm.filter.hypotheses.gating import FirstDetectionDensity
-from pmbm.filter.hypotheses.gaussian import Innovation
-from pmbm.filter.hypotheses.radar_pairs import UpdatedPairs
 from pmbm.filter.scan import Scan
-from pmbm.kernels import twin
 from pmbm.types import ABSENT, FloatArray
 
 MOST_OF_ONE = 0.5
@@ -35,102 +31,29 @@ def ids_of_new(
     """
     ids = density.detections_seen + np.arange(len(scan))
     recycled = density.undetected.recycled_from
-    if recycled is not None and len(new):
-        resumed = _resumed(density, scan, association, recycled, new)
-        ids[new] = np.where(resumed == ABSENT, ids[new], resumed)
-    return ids
+    if recycled is None:
+        return ids
+    resumed = _resumed(density, association, recycled, new)
+    return np.where(resumed == ABSENT, ids, resumed)
 
 
 def _resumed(
-    density: Density, scan: Scan, association: Association, recycled: RecycledFrom, new: Index
+    density: Density, association: Association, recycled: RecycledFrom, new: Index
 ) -> NDArray[np.int64]:
-    """Of each of the measurements `new` (n,), the id that it resumes, or ABSENT."""
-    first = association.undetected
-    if isinstance(first, UpdatedPairs):
-        return _resumed_by_radar(density, association, first, recycled, new)
-    r = np.exp(association.log_birth_evidence - association.log_new)[new]
-    return _resume(
-        *first.innovation.columns(),
-        first.log_height,
-        recycled.track,
-        recycled.share,
-        scan.position[new],
-        association.log_e[new],
-        first.gate,
-        MOST_OF_ONE,
-        r,
-        density.track_id,
-    )
-
-
-def _resumed_by_radar(
-    density: Density,
-    association: Association,
-    first: UpdatedPairs,
-    recycled: RecycledFrom,
-    new: Index,
-) -> NDArray[np.int64]:
-    """`_resumed` where the pairs of undetected objects and measurements are worked out already."""
-    place = np.full(len(association.log_e), -1, np.intp)
-    place[new] = np.arange(len(new))
-    pairs = first.take(
-        np.flatnonzero((place[first.measurement] >= 0) & (recycled.track[first.row] != ABSENT))
+    """(M,) the id that each measurement resumes, or ABSENT; only those of `new` (n,) do."""
+    pairs = association.undetected
+    pairs = pairs.take(
+        np.flatnonzero(np.isin(pairs.measurement, new) & (recycled.track[pairs.row] != ABSENT))
     )
     track, share = _explained(
         recycled.track[pairs.row],
-        place[pairs.measurement],
+        pairs.measurement,
         pairs.log_weight - association.log_e[pairs.measurement],
         recycled.share[pairs.row],
-        len(new),
+        len(association.log_e),
     )
-    r = np.exp(association.log_birth_evidence - association.log_new)[new]
-    return _claimed(track, share, r, density.track_id, MOST_OF_ONE)
-
-
-@twin("resumed")
-def _resume(
-    expected: FloatArray,
-    l11: FloatArray,
-    l21: FloatArray,
-    l22: FloatArray,
-    log_height: FloatArray,
-    recycled_track: NDArray[np.int64],
-    recycled_share: FloatArray,
-    z: FloatArray,
-    log_e: FloatArray,
-    threshold: float,
-    most: float,
-    r: FloatArray,
-    known: NDArray[np.int64],
-) -> NDArray[np.int64]:
-    """Of first detections z (n,2) with existence r (n,), the ids that they resume, or ABSENT; those
-    in `known` (T,) are not resumed."""
-    density = FirstDetectionDensity(Innovation(expected, l11, l21, l22), log_height, threshold)
-    rows = np.flatnonzero(recycled_track != ABSENT)
-    left_behind = FirstDetectionDensity(
-        density.innovation.take(rows), density.log_height[rows], density.gate
-    )
-    pairs = left_behind.pairs(z)
-    track, share = _explained(
-        recycled_track[rows[pairs.row]],
-        pairs.measurement,
-        pairs.log_weight - log_e[pairs.measurement],
-        recycled_share[rows[pairs.row]],
-        len(z),
-    )
-    return _claimed(track, share, r, known, most)
-
-
-def _claimed(
-    track: NDArray[np.int64],
-    share: FloatArray,
-    r: FloatArray,
-    known: NDArray[np.int64],
-    most: float,
-) -> NDArray[np.int64]:
-    """The ids (n,) that first detections resume, or ABSENT, of the recycled tracks that explain
-    most of each and their shares in it."""
-    claims = np.flatnonzero((share > most) & ~np.isin(track, known))
+    r = np.exp(association.log_birth_evidence - association.log_new)
+    claims = np.flatnonzero((share > MOST_OF_ONE) & ~np.isin(track, density.track_id))
     # The least probable first: of those that claim one id, the last stays.
     order = claims[np.argsort(r[claims] * share[claims], kind="stable")]
     last = len(order) - 1 - np.unique(track[order[::-1]], return_index=True)[1]

@@ -13,7 +13,6 @@ from pmbm.filter.density import Locals
 from pmbm.filter.models.detection import DetectionChain
 from pmbm.filter.models.protocols import DETECTIONS, SCORES, Detection, Scores
 from pmbm.filter.models.view import View
-from pmbm.kernels import twin
 from pmbm.types import FloatArray
 from pmbm.validation import NOT_NEGATIVE, POSITIVE, Bounds, check_fields
 
@@ -210,7 +209,10 @@ class ObservationModel:
         """
         if self.scaled_misses:
             return r * (1 - P_D), 1 - P_D
-        return _missed(r, P_D)
+        left = 1 - r * P_D
+        # Missing what exists and is always detected is impossible; its r stays a number all the
+        # same.
+        return np.where(left > 0, r * (1 - P_D) / np.where(left > 0, left, 1.0), 0.0), left
 
     def boxed(self, before: FloatArray, detected: FloatArray) -> FloatArray:
         """Boxes (n,5) after detections: height and size with those before, the newest heading."""
@@ -221,11 +223,3 @@ class ObservationModel:
         box = before + self.box_gain * (detected - before)
         box[:, 4] = detected[:, 4]
         return box
-
-
-@twin("missed")
-def _missed(r: FloatArray, P_D: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bayes' rule for a miss."""
-    left = 1 - r * P_D
-    # Missing what exists and is always detected is impossible; its r stays a number all the same.
-    return np.where(left > 0, r * (1 - P_D) / np.where(left > 0, left, 1.0), 0.0), left
