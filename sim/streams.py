@@ -47,6 +47,7 @@ class Purpose(enum.IntEnum):
     COMPANION = 17
     RADIAL = 18
     CLUTTER_SPEED = 19
+    PLACE_SCORE = 20
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from pmbm.sim.detector.knobs import (
     drawn_label,
     without_proxies,
 )
-from pmbm.sim.streams import Purpose, Streams, beta, correlated, normal
+from pmbm.sim.streams import Purpose, Streams, beta, correlated, cumulative_normal, normal
 from pmbm.sim.world.scene import Scene
 from pmbm.types import CLUTTER, FloatArray, IntArray, Site
 from pmbm.validation import NOT_NEGATIVE, POSITIVE, SHARE, Bounds, check_fields
@@ -118,6 +118,10 @@ class ClutterModel(FalseBoxes):
     persistent_detection : probability that a place in view gives a box in a frame.
     persistent_noise : standard deviation of such a box about its place, x and y, m.
     persistent_yaw_noise : the same of its heading about the place's, rad.
+    persistent_score_shift : how much better the latent quality behind the scores of a place's boxes
+        is than that of false boxes on average, in its standard deviations.
+    persistent_score_share : of the variance of that quality, the share that a place keeps for good:
+        some places score high, frame after frame.
     speed_spread : standard deviation of how fast a false box seems to move over the ground along
         the line of sight, m/s, where radial velocities are measured; those of a fixed place stand.
     labels : relative frequency of each label.
@@ -129,6 +133,8 @@ class ClutterModel(FalseBoxes):
     persistent_detection: Annotated[float, Bounds(most=1.0, above=0.0)] = 0.8
     persistent_noise: Annotated[float, NOT_NEGATIVE] = 0.3
     persistent_yaw_noise: Annotated[float, NOT_NEGATIVE] = 0.1
+    persistent_score_shift: Annotated[float, Bounds(-5.0, 5.0)] = 0.0
+    persistent_score_share: Annotated[float, SHARE] = 0.0
     speed_spread: Annotated[float, NOT_NEGATIVE] = 0.0
     labels: Annotated[Mapping[NamedLabel, float], NOT_NEGATIVE] = field(default_factory=_cars)
     label: Mapping[NamedLabel, FalseBoxes] = field(default_factory=dict)
@@ -267,7 +273,7 @@ def _boxes_of_place(
         heading,
         np.broadcast_to(label, len(frame)),
         np.broadcast_to(look, (len(frame), len(look))),
-        score[frame],
+        _score_draws_of_place(model, score, streams, key)[frame],
     )
     boxes = replace(boxes, yaw=wrap_angle(boxes.yaw + model.persistent_yaw_noise * error[:, 2]))
     if not model.has_company:
@@ -276,6 +282,17 @@ def _boxes_of_place(
     lasting = np.tile(draws[0], (len(frame), 1))
     lasting[:, _COMPANY_SCORES] = draws[frame][:, _COMPANY_SCORES]
     return _with_company(model, boxes, distance[frame], heading, lasting)
+
+
+def _score_draws_of_place(
+    model: ClutterModel, draw: FloatArray, streams: Streams, key: int
+) -> FloatArray:
+    """Uniforms (F,) of the scores of a place's boxes, from independent ones."""
+    share, shift = model.persistent_score_share, model.persistent_score_shift
+    if share == 0 and shift == 0:
+        return draw
+    kept = normal(streams.uniforms(Purpose.PLACE_SCORE, 1, 1, key)[0, 0])
+    return cumulative_normal(shift + np.sqrt(share) * kept + np.sqrt(1.0 - share) * normal(draw))
 
 
 def _with_company(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 
 from pmbm.geometry import wrap_angle
 from pmbm.labels import Label
@@ -17,12 +17,15 @@ from pmbm.sim.detector.knobs import Curve
 from pmbm.sim.fit.binning import BIN_WIDTH, FEWEST, binned, pair_correlations, range_bins
 from pmbm.sim.fit.observations import FalseAlarms, Observations
 from pmbm.sim.fit.scores import ScoreScale, concentration_of
+from pmbm.sim.streams import normal
 from pmbm.types import BoolArray, FloatArray, IntArray
 
 _SPREADS: Final = (0.02, 0.5)
 """Between these lies how far headings may stray from a direction and still keep to it, rad."""
 _NEAR: Final = 1.5
 """A false box of the next frame this close belongs to the same place, m."""
+_LATER: Final = 10
+"""Frames after which what one frame's score owes to the last is over."""
 _ECHO_REACH: Final = 0.6
 """Boxes of two labels this close are at one place, m."""
 _SECOND_REACH: Final = 0.5
@@ -37,19 +40,17 @@ def fit_clutter(evidence: Observations, scale: ScoreScale, company: CoOccurrence
     frames = int(evidence.frames.sum())
     if len(falses.score) == 0:
         return ClutterModel()
-    places = _fit_places(falses)
     labels = np.unique(falses.label).tolist()
     alone = company.alone(evidence)
+    looks = {
+        v: FalseBoxes(**_false_boxes(evidence, falses.label == v, scale), **company.of_false(v))
+        for v in labels
+    }
     return ClutterModel(
         rate=float(sum(alone.values())) / frames,
-        **places,
+        **_fit_places(falses, _quality(falses, looks, scale)),
         labels={Label(v): float(alone[v] / sum(alone.values())) for v in labels},
-        label={
-            Label(v): FalseBoxes(
-                **_false_boxes(evidence, falses.label == v, scale), **company.of_false(v)
-            )
-            for v in labels
-        },
+        label={Label(v): look for v, look in looks.items()},
     )
 
 
@@ -245,12 +246,24 @@ def _headings(heading: FloatArray) -> tuple[float, float, float]:
     return float(share[0]), float(share[1]), spread
 
 
-def _fit_places(falses: FalseAlarms) -> Mapping[str, Any]:
-    """The share of false boxes that stay at a place, how often a place gives a box, and how these
-    stray about it.
+def _quality(falses: FalseAlarms, looks: Mapping[int, FalseBoxes], scale: ScoreScale) -> FloatArray:
+    """The standard normal quality (R,) behind each score, under what false boxes are like."""
+    value, quality = scale.quality(falses.score), np.zeros(len(falses.score))
+    for label, look in looks.items():
+        rows = falses.label == label
+        mean, shapes = look.score_mean(falses.distance[rows]), look.score_concentration
+        below = special.betainc(mean * shapes, (1 - mean) * shapes, value[rows])
+        quality[rows] = normal(np.clip(below, 1e-6, 1 - 1e-6))
+    return quality
+
+
+def _fit_places(falses: FalseAlarms, quality: FloatArray) -> Mapping[str, Any]:
+    """The share of false boxes that stay at a place, how often a place gives a box, how these
+    stray about it, and how their quality (R,) differs.
 
     A box of a place has one near it a frame later with the place's probability, any other box
-    hardly ever; given one a frame later, so it has two frames later.
+    hardly ever; given one a frame later, so it has two frames later.  What the qualities of boxes a
+    second apart have in common, their place keeps.
     """
     key = falses.recording * 10**7 + falses.frame
     order = np.argsort(key, kind="stable")
@@ -278,10 +291,18 @@ def _fit_places(falses: FalseAlarms) -> Mapping[str, Any]:
     apart = np.square(position[after[once]] - position[once]).sum(axis=1)
     heading = (falses.yaw + falses.bearing + falses.heading)[order]
     turned = np.abs(wrap_angle(2 * (heading[after[once]] - heading[once]))) / 2
+    shift = share = 0.0
+    quality, later = quality[order], nearest_after(_LATER)
+    if np.count_nonzero(later >= 0) >= FEWEST:
+        pair = np.stack([quality[later >= 0], quality[later[later >= 0]]])
+        shift = float(np.clip(pair.mean(), -2.0, 2.0))
+        share = float(np.clip(np.prod(pair - pair.mean(), axis=0).mean() / pair.var(), 0.0, 0.95))
     # Medians, since some boxes are near by chance; of two boxes each strays by itself.
     return {
         "persistent_share": float(np.clip(once.mean() / detection, 0.0, 1.0)),
         "persistent_detection": detection,
         "persistent_noise": float(np.sqrt(np.median(apart) / 2 / stats.chi2.median(2))),
         "persistent_yaw_noise": float(np.median(turned) / np.sqrt(2) / stats.halfnorm.median()),
+        "persistent_score_shift": shift,
+        "persistent_score_share": share,
     }

@@ -123,6 +123,7 @@ def test_the_fit_finds_the_detector_that_made_the_recordings(fitted):
     assert fitted.clutter.of(Label.CAR).companion_probability < 0.03
     assert sum(car.echo.values()) < 0.01
     assert fitted.clutter.persistent_share < 0.05
+    assert fitted.clutter.persistent_score_share < 0.1
     assert "10 recordings" in fitted.provenance
     assert load_profile(fitted.plain()) == fitted
 
@@ -194,6 +195,7 @@ def test_boxes_that_come_with_others_are_found():
 def test_persistent_clutter_is_found():
     knobs = {"rate": 4.0, "persistent_share": 0.6, "persistent_detection": 0.7}
     knobs |= {"persistent_noise": 0.2, "persistent_yaw_noise": 0.05}
+    knobs |= {"persistent_score_share": 0.5, "persistent_score_shift": 0.4}
     model = load_profile({}, {"clutter": knobs})
     made = [model.detect(world(seed), seed) for seed in range(12)]
     clutter = fit_detector(made).clutter
@@ -201,6 +203,9 @@ def test_persistent_clutter_is_found():
     assert clutter.persistent_share == pytest.approx(0.6, abs=0.15)
     assert clutter.persistent_noise == pytest.approx(0.2, rel=0.15)
     assert clutter.persistent_yaw_noise == pytest.approx(0.05, rel=0.15)
+    # About the mean of all false boxes, three fifths of which are of places.
+    assert clutter.persistent_score_shift == pytest.approx(0.4 * (1 - 0.6), abs=0.08)
+    assert clutter.persistent_score_share == pytest.approx(0.5, abs=0.15)
 
 
 def test_likeness_is_close_for_the_right_model_and_not_for_a_wrong_one(recordings, fitted):
@@ -386,8 +391,16 @@ def test_held_back_sequences_are_as_near_to_the_model_as_to_other_real_ones(veri
 
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA, reason="PMBM_DATA is not set: no real detections")
-def test_the_shipped_profile_is_what_its_command_makes(tmp_path):
-    shipped = load_profile("pointrcnn-kitti")
+@pytest.mark.parametrize(
+    ("name", "older"),
+    [
+        ("pvrcnn-pedestrians", ()),
+        ("pointrcnn-kitti", ("persistent_score_shift", "persistent_score_share")),
+    ],
+)
+def test_the_shipped_profiles_are_what_their_commands_make(name, older, tmp_path):
+    """`older`: knobs that a profile does without, so that its recordings stay what they were."""
+    shipped = load_profile(name)
     said = re.search(r"Made by: pmbm fit-detector (.*)\. Fitted to", shipped.provenance).group(1)
     arguments = [*shlex.split(said), "--trials", "1", "--no-realism", "--out", str(tmp_path)]
     here = os.getcwd()
@@ -396,9 +409,11 @@ def test_the_shipped_profile_is_what_its_command_makes(tmp_path):
         CliRunner().invoke(command, arguments, catch_exceptions=False)
     finally:
         os.chdir(here)
-    made = load_profile(tmp_path / "pointrcnn-kitti.toml")
+    made = load_profile(tmp_path / f"{name}.toml")
     assert made.provenance == shipped.provenance
     one, other = (dict(_numbers(model.plain())) for model in (made, shipped))
+    for knob in older:
+        assert one.pop(("clutter", knob)) != other.pop(("clutter", knob)) == 0.0
     assert one.keys() == other.keys()
     # Another processor's last bits move a search for the likeliest by this much.
     assert one == pytest.approx(other, rel=1e-3, abs=1e-4)

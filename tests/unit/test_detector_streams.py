@@ -161,6 +161,40 @@ def test_a_knob_changes_what_it_is_about_and_nothing_else(knob, value, changes):
     assert boxes(base, CLUTTER.__eq__) == boxes(other, CLUTTER.__eq__)
 
 
+def test_places_that_keep_their_scores_differ_in_nothing_else():
+    """Some places score high, frame after frame, as far as their share of the variance goes."""
+    scene = street(frames=200)
+    stay = {"rate": 12.0, "persistent_share": 1.0, "persistent_noise": 0.0}
+    plain, kept, better = (
+        detect(scene, clutter={**stay, **{f"persistent_score_{name}": x for name, x in more}})
+        for more in ((), [("share", 0.8)], [("share", 0.8), ("shift", 1.0)])
+    )
+    for what in ("position", "size", "yaw", "label"):
+        for before, after in zip(plain.detections, kept.detections, strict=True):
+            assert np.array_equal(
+                np.sort(getattr(before, what), axis=0), np.sort(getattr(after, what), axis=0)
+            )
+
+    def by_place(recording):
+        found = {}
+        for delivery, origin in zip(recording.detections, recording.origin, strict=True):
+            false = origin == CLUTTER
+            for place, score in zip(
+                delivery.position[false, :2], delivery.score[false], strict=True
+            ):
+                found.setdefault(tuple(np.round(place / 2)), []).append(score)
+        return [np.array(scores) for scores in found.values() if len(scores) > 20]
+
+    def share_between(places):
+        return np.var([one.mean() for one in places]) / np.var(np.concatenate(places))
+
+    assert len(by_place(plain)) >= 8
+    assert share_between(by_place(plain)) < 0.1
+    assert share_between(by_place(kept)) > 0.6
+    means = [np.concatenate(by_place(one)).mean() for one in (kept, better)]
+    assert means[1] > means[0] + 0.1
+
+
 def test_a_lower_probability_only_takes_boxes_away():
     scene = street()
     for extra in ({}, {"miss_burst_length": 1.0}):
