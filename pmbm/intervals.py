@@ -59,7 +59,7 @@ class Uncertainty(Protocol):
     """A mean with its interval and p-value."""
 
     def ends(self, level: float = LEVEL) -> Ends | None:
-        """The interval's ends; None where there is none."""
+        """The interval's ends, or None where there is none."""
         ...
 
     def p_value(self) -> float:
@@ -196,7 +196,7 @@ class Counts:
 
 
 def _least(holds: Callable[[float], bool]) -> float:
-    """The least p, to a thousandth of it, from which on something holds; 1 where that is above
+    """The least p, to a thousandth of it, from which on something holds, or 1 where that is above
     .999."""
     low, high = math.log(1e-15), math.log(0.999)
     if not holds(0.999):
@@ -208,7 +208,7 @@ def _least(holds: Callable[[float], bool]) -> float:
 
 
 def of_mean(values: FloatArray, scale: Scale) -> Uncertainty | None:
-    """The uncertainty of a mean over all trials, from the values of some; None of fewer than
+    """The uncertainty of a mean over all trials, from the values of some, or None of fewer than
     two."""
     n = len(values)
     if n < 2:

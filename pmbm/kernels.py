@@ -48,7 +48,7 @@ _SOURCES = Path(__file__).with_name("native")
 
 
 def fingerprint() -> str | None:
-    """Of the sources of what is compiled, as CMakeLists.txt has it; None where they are not
+    """Of the sources of what is compiled, as CMakeLists.txt has it, or None where they are not
     installed."""
     files = sorted(_SOURCES.glob("*.[hc]pp"))
     hashes = "".join(sha256(one.read_bytes()).hexdigest() for one in files)

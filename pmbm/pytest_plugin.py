@@ -152,7 +152,7 @@ _TELL_EVERY = 5.0
 
 
 def _progress(config: pytest.Config) -> Callable[[str, int, int], None] | None:
-    """A progress callback for a gate; None where no terminal shows it."""
+    """A progress callback for a gate, or None where no terminal shows it."""
     import time
 
     reporter = config.pluginmanager.getplugin("terminalreporter")

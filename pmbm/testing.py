@@ -310,7 +310,7 @@ class TrackingGate:
         return shlex.join(["pytest", self.node, "--pmbm-replay", str(trial)])
 
     def write_replay(self, folder: Path, node: str) -> ShownTrial | None:
-        """Write the replay of the last check's worst trial; None before any check."""
+        """Write the replay of the last check's worst trial, or None before any check."""
         return None if self._show is None else self._show(folder, node)
 
     def _store(

@@ -126,7 +126,7 @@ detectors span; not what trades time for accuracy.  Units are those of the track
 
 @dataclass(frozen=True)
 class Attempt:
-    """parameters : what was set; empty for the defaults.  value : None where it has none."""
+    """parameters : what was set, or empty for the defaults.  value : None where it has none."""
 
     parameters: Mapping[str, Any]
     value: float | None

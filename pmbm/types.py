@@ -470,7 +470,7 @@ class Site:
         )
 
     def sensor(self, name: str) -> MountedSensor | None:
-        """The sensor of that name; None where the site names none at all.
+        """The sensor of that name, or None where the site names none at all.
 
         Raises InputError, with the nearest name, where it names others.
         """

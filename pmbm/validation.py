@@ -123,7 +123,7 @@ def _numbers(value: Any) -> Iterator[float]:
 
 
 def _problem(given: Any, kinds: tuple[Any, ...]) -> tuple[str | None, str | None] | None:
-    """The expectation and hint that a value fails; None where it fails none."""
+    """The expectation and hint that a value fails, or None where it fails none."""
     for kind in kinds:
         if kind in _NUMBERS:
             allowed, words = _NUMBERS[kind]

@@ -361,7 +361,7 @@ def _series(series: Mapping[str, FloatArray]) -> dict[str, list[float | None]]:
 
 
 def _rounded(values: ArrayLike) -> list[float | None]:
-    """Four significant digits; None where undefined."""
+    """Four significant digits, or None where undefined."""
     return [
         float(f"{value:.4g}") if np.isfinite(value) else None
         for value in np.asarray(values, dtype=np.float64).tolist()

@@ -217,7 +217,7 @@ def draw_tracks(
 
 
 def report_at(sequence: TrackSequence, frame: int) -> Tracks | None:
-    """The tracker's report of a frame; None where it was not stepped."""
+    """The tracker's report of a frame, or None where it was not stepped."""
     steps = np.flatnonzero(sequence.frame == frame)
     return sequence[int(steps[0])] if len(steps) else None
 

@@ -45,7 +45,7 @@ class HiddenGrid:
 def hidden_grid(
     recording: Recording, tracks: TrackSequence, centre: FloatArray
 ) -> HiddenGrid | None:
-    """The grid of what a tracker expects; None where it never says.
+    """The grid of what a tracker expects, or None where it never says.
 
     centre (2,) : the replay's origin in the world, m.
     """

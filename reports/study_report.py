@@ -184,7 +184,7 @@ def leading_metric(summaries: Sequence[Summary]) -> str:
 
 
 def p_value(difference: Estimate) -> float:
-    """The two-sided p-value against no difference; 1 where there is no interval at any level."""
+    """The two-sided p-value against no difference, or 1 where there is no interval at any level."""
     return 1.0 if difference.uncertainty is None else difference.uncertainty.p_value()
 
 
@@ -279,7 +279,7 @@ def _curves(cells: Sequence[CellResults]) -> Iterable[_Curves]:
 
 
 def robustness(cells: Sequence[CellResults], parameter: str) -> list[MetricCurve]:
-    """The study's metrics against one swept parameter; none where it has fewer than two levels.
+    """The study's metrics against one swept parameter, or none where it has fewer than two levels.
 
     Where other parameters are swept too, a trial's value at a level is its mean over their
     settings: trials stay independent, so the intervals hold.  A trial that lacks a setting there

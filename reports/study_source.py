@@ -106,7 +106,7 @@ def worst_trials(results: StudyResults, tracker: str, count: int) -> list[_Candi
 
 
 class _Sources:
-    """The study's scenarios, found again by name; None where they are gone."""
+    """The study's scenarios, found again by name, or None where they are gone."""
 
     def __init__(self, results: StudyResults, resolve: Resolve, folder: Path) -> None:
         self._cells = results.document["cells"]

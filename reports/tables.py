@@ -183,7 +183,7 @@ def metric_row(
 
 
 def words(estimate: Estimate | None, trials: int, *, signed: bool = False) -> Text | None:
-    """Mean and interval, both to the second digit of half its width; None where undefined.
+    """Mean and interval, both to the second digit of half its width, or None where undefined.
 
     An interval that is as wide to either side by its kind is told by half of it, another one by
     its ends.

@@ -136,7 +136,7 @@ class StudyReport:
 
     @cached_property
     def summaries(self) -> tuple[Summary | None, ...]:
-        """Of each cell; None where it has no results yet."""
+        """Of each cell, or None where it has no results yet."""
         from pmbm.study import summarise
 
         return tuple(

@@ -267,7 +267,7 @@ def _compare(task: _Task, stack: ExitStack, against: str | None) -> GateReport:
 
 
 def _entries(task: _Task, stack: ExitStack, against: str | None) -> dict[str, GateEntry] | None:
-    """Each scenario with both its trackers; None where they are the same code."""
+    """Each scenario with both its trackers, or None where they are the same code."""
     from pmbm.regression import GateEntry, load_baseline
     from pmbm.regression.gitref import GitTracker, checked_out, same_sources
     from pmbm.study import ConfiguredTracker

@@ -76,7 +76,7 @@ def trackers_of(dataset: Dataset, tracker: str, tables: Tables) -> Trackers:
 
 
 def left_out(fits: Fits, folds: int, mode: str) -> dict[str, LeftOut | None]:
-    """What each class's tracker is worth on sequences that it was not fitted to; None of a class
+    """What each class's tracker is worth on sequences that it was not fitted to, or None of a class
     without truth."""
     dataset = fits.dataset
     rule, score = rule_of(dataset, None), matching_rule(dataset)

@@ -206,7 +206,7 @@ def command(
 
 
 def _value(problem: Simulated | Logged, parameters: Mapping[str, Any]) -> float | None:
-    """The objective; None for parameters that each may have but that do not fit together."""
+    """The objective, or None for parameters that each may have but that do not fit together."""
     from pmbm.errors import InputError
     from pmbm.types import Site
 

@@ -49,7 +49,7 @@ def read_table(path: Path, what: str, ignored: Sequence[str] = ()) -> Cells:
 
 
 def texts_in(path: Path, name: str) -> list[str]:
-    """The different texts of one column, nothing of the others read; none without the column."""
+    """The different texts of one column, nothing of the others read, or none without the column."""
     arrow = arrow_package()
     content = read_bytes(path)
     try:

@@ -147,7 +147,7 @@ class AdvancedByKernel(Advanced):
 def _remembered(
     model: PMBMConfig, density: Density, dt: float
 ) -> tuple[FloatArray, FloatArray] | tuple[()]:
-    """P(class) and the running sums of local hypotheses, predicted; none where they stay as they
+    """P(class) and the running sums of local hypotheses, predicted, or none where they stay as they
     are and the kernel holds them."""
     scores, held = model.scores, density.held
     if held is None:

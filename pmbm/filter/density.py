@@ -55,7 +55,7 @@ class RecycledFrom:
 
     @staticmethod
     def joined(parts: list[tuple[RecycledFrom | None, int]]) -> RecycledFrom | None:
-        """Origins of components one on another, and how many there are of each; None where all
+        """Origins of components one on another, and how many there are of each, or None where all
         have none."""
         if all(one is None for one, _ in parts):
             return None

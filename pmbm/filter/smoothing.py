@@ -215,7 +215,7 @@ class _Forward:
 
 
 def _forward(life: _Life, config: PMBMConfig) -> tuple[_Life, _Forward] | None:
-    """The life with its gaps predicted through, up to its last detection; None if it has none.
+    """The life with its gaps predicted through, up to its last detection, or None if it has none.
 
     A report that is less sure of the place than a measurement makes it is of a track that was
     missed, or whose detection is rather another's, as it is where the track hardly exists.

@@ -338,7 +338,7 @@ class PMBMTracker:
 
     @property
     def density(self) -> Density | None:
-        """The PMBM density after the last step; None before the first."""
+        """The PMBM density after the last step, or None before the first."""
         return self.state.density if self.state.started else None
 
     def step(self, detections: Detections, /) -> Tracks:

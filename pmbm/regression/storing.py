@@ -112,7 +112,7 @@ def store_baseline(
 
 
 def _old(file: Path) -> StoredBaseline | None:
-    """The baseline in the file now; None where there is nothing, or nothing readable."""
+    """The baseline in the file now, or None where there is nothing, or nothing readable."""
     try:
         return load_baseline(file)
     except InputError:

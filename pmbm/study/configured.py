@@ -209,7 +209,7 @@ def _member(config: Any, name: str, hint: Any, value: Mapping[str, Any], path: s
 
 
 def _members(hint: Any) -> Any:
-    """The registry that gives the classes of kinds for an annotated field; None where it has one
+    """The registry that gives the classes of kinds for an annotated field, or None where it has one
     class."""
     return next((one for one in getattr(hint, "__metadata__", ()) if hasattr(one, "of_kind")), None)
 

@@ -86,7 +86,7 @@ class StudyResults:
         return self.outcomes[self.outcomes["outcome"] != "ok"]
 
     def summary(self, cell: int, reference: str | None = None) -> Summary | None:
-        """Means, intervals and paired differences over a cell's trials; None without any."""
+        """Means, intervals and paired differences over a cell's trials, or None without any."""
         trials = self.trials.get(cell)
         return summarise(trials, reference) if trials else None
 

@@ -205,7 +205,7 @@ class _Driver:
 
 
 def _row(future: Future[StoreRow]) -> StoreRow | None:
-    """The row of a future; None where its worker, and not the trial, failed."""
+    """The row of a future, or None where its worker, and not the trial, failed."""
     try:
         return future.result()
     except Exception:

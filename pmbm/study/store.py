@@ -262,7 +262,7 @@ def _log(file: Path) -> Path:
 
 
 def _identity(file: Path) -> tuple[int, int] | None:
-    """The identity of the file that is there; None where there is none."""
+    """The identity of the file that is there, or None where there is none."""
     try:
         found = file.stat()
     except FileNotFoundError:

@@ -155,7 +155,7 @@ def summarise(results: Sequence[TrialResult], reference: str | None = None) -> S
 
 
 def paired(values: Sequence[float | None], reference: Sequence[float | None]) -> list[float | None]:
-    """Trial by trial, value - reference; None where either is undefined."""
+    """Trial by trial, value - reference, or None where either is undefined."""
     return [
         None if a is None or b is None else a - b for a, b in zip(values, reference, strict=True)
     ]

@@ -89,7 +89,7 @@ class Cells:
         return values
 
     def integers(self, name: str) -> tuple[IntArray, BoolArray]:
-        """(R,) whole numbers of 64 bits, and where they are given; 0 where they are not."""
+        """(R,) whole numbers of 64 bits, and where they are given, or 0 where they are not."""
         rows = len(self)
         if not self.has(name):
             return np.zeros(rows, np.int64), np.zeros(rows, bool)

@@ -412,7 +412,7 @@ def _observable_by(names: NDArray[Any], count: IntArray) -> dict[str, tuple[Bool
 
 
 def _delivery_times(cells: Cells, frames: Clock, poses: Poses, rows: Rows) -> FloatArray:
-    """(D,) what the rows say, where the poses do not; NaN where nobody does.
+    """(D,) what the rows say, where the poses do not, or NaN where nobody does.
 
     Raises InputError where the rows of a delivery differ, or where their time is nearer to that of
     another frame.

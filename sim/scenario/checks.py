@@ -98,7 +98,7 @@ def _check_roads(scene: schema.RoadScene, file: str | None) -> None:
 
 
 def _end(road: schema.Road, *, last: bool) -> tuple[float, float] | None:
-    """The place where the road begins or ends, m; None where the file does not say it whole."""
+    """The place where the road begins or ends, m, or None where the file does not say it whole."""
     if road.start is not None and road.end is not None:
         x, y = road.end if last else road.start
         return x, y

@@ -90,7 +90,7 @@ class Scenario:
 
     @property
     def levels(self) -> tuple[Any, ...]:
-        """The levels of the sweep, the null level first; empty without a sweep."""
+        """The levels of the sweep, the null level first, or empty without a sweep."""
         return () if self.form.sweep is None else tuple(self.form.sweep.levels)
 
     @property
@@ -148,7 +148,7 @@ class Scenario:
         return tuple(sensor.mounted for sensor in self.sensors())
 
     def sensors(self, level: Any = None) -> tuple[SimulatedSensor, ...]:
-        """The sensors at a level, where the scenario has several; empty where it has one."""
+        """The sensors at a level, where the scenario has several, or empty where it has one."""
         document = self._document_at(self._level(level))
         if not document.get("sensors"):
             return ()

@@ -74,7 +74,7 @@ def tell(
 def _moment(
     track_id: int, seen: Inspection, tracks: Tracks, frame: Detections, recycle_below: float
 ) -> _Moment | None:
-    """The changes that the step made to the track; None where the density does not hold it."""
+    """The changes that the step made to the track, or None where the density does not hold it."""
     looked = seen.sensor_view
     at = np.flatnonzero(looked.track_id == track_id)
     now = np.flatnonzero(seen.track_id == track_id)

@@ -37,7 +37,7 @@ class RadarScan:
 
     @staticmethod
     def of(sensor: Sensor, detections: Detections) -> RadarScan | None:
-        """Of these detections; None where they measure positions alone, all alike."""
+        """Of these detections, or None where they measure positions alone, all alike."""
         polar = sensor.azimuth_sd is not None
         radial = None if sensor.radial_velocity_sd is None else detections.radial_velocity
         if not polar and radial is None:

@@ -232,7 +232,7 @@ class KittiAverages:
 def kitti_averages(
     sequences: Sequence[KittiScene], least_overlap: float, levels: int = 40
 ) -> KittiAverages | None:
-    """sAMOTA, AMOTA and AMOTP over all sequences of a class; None without truth.
+    """sAMOTA, AMOTA and AMOTP over all sequences of a class, or None without truth.
 
     A track's confidence is its mean score over the sequence (`scene.tracks.score` per row).
     """

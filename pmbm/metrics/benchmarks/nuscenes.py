@@ -70,7 +70,7 @@ class NuscenesScores:
 
 
 def nuscenes_scores(scenes: Sequence[ScoredScene], gate: float = 2.0) -> NuscenesScores | None:
-    """Score one class; None without truth.
+    """Score one class, or None without truth.
 
     `scene.tracks.score` holds scores of boxes; a track counts with their mean over its scene.
     """
@@ -123,7 +123,7 @@ def _track_scores(scene: ScoredScene) -> FloatArray:
 def _thresholds(
     scenes: Sequence[ScoredScene], confidence: Sequence[FloatArray], truths: int, gate: float
 ) -> FloatArray:
-    """The confidence at which each recall level is met, (40,); NaN where it is not reached.
+    """The confidence at which each recall level is met, (40,), or NaN where it is not reached.
 
     Recall counts matches that are no identity switch.
     """

@@ -103,7 +103,7 @@ class OperatingPoint:
 def operating_point(
     sweeps: Sequence[Sweep], thresholds: FloatArray = THRESHOLDS
 ) -> OperatingPoint | None:
-    """What these sequences say together; None without truth.  The first threshold is what the
+    """What these sequences say together, or None without truth.  The first threshold is what the
     reports were given at."""
     truths = np.array([one.truths for one in sweeps])
     errors = np.array([one.errors for one in sweeps])

@@ -68,7 +68,7 @@ def _between(boxes: BoxRows, low: float, high: float) -> BoolArray:
 
 
 def waymo_overlap(scene: ScoredScene) -> FloatArray:
-    """3D IoU of the scene's pairs (Q,); 0 where a box has a side of at most 0.01 m."""
+    """3D IoU of the scene's pairs (Q,), or 0 where a box has a side of at most 0.01 m."""
     overlap = pair_overlap(scene)
     flat_truth = scene.truth.size.min(axis=1, initial=np.inf) <= _SMALLEST_SIDE
     flat_track = scene.tracks.size.min(axis=1, initial=np.inf) <= _SMALLEST_SIDE

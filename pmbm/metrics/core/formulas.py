@@ -119,7 +119,7 @@ class Totals:
 
 @dataclass(frozen=True)
 class Means:
-    """Parts: these counts, each over `bottom`; none where that is 0."""
+    """Parts: these counts, each over `bottom`, or none where that is 0."""
 
     names: tuple[str, ...]
     bottom: str

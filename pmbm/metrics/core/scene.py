@@ -111,7 +111,7 @@ class ScoredScene:
 
     @property
     def period(self) -> float | None:
-        """Median time between frames, s; None with fewer than two frames."""
+        """Median time between frames, s, or None with fewer than two frames."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else None
 
     @cached_property

@@ -117,7 +117,7 @@ class Fleet:
         return column_of([getattr(vehicle, name) for vehicle in self.vehicles])
 
     def of_drivers(self, name: str) -> FloatArray:
-        """A parameter of IDM; nan where a vehicle has none."""
+        """A parameter of IDM, or nan where a vehicle has none."""
         return column_of([getattr(vehicle, name, math.nan) for vehicle in self.vehicles])
 
     def same(self, vehicles: list[Any], objects: list[Any]) -> bool:
