@@ -100,7 +100,11 @@ def test_every_file_that_a_command_reads_is_in_the_repository(page):
         for word in re.findall(r"(?:studies|tests|scenarios)/[\w/]+\.(?:py|toml)", line):
             assert (ROOT / word).exists(), line
         study = re.match(r"pmbm study (\S+\.toml)", line)
-        assert study is None or study[1] == "night.toml" or (ROOT / study[1]).exists(), line
+        assert (
+            study is None
+            or study[1] in ("night.toml", "mine_study.toml")
+            or (ROOT / study[1]).exists()
+        ), line
 
 
 def test_the_files_of_the_pages_are_what_they_say(folder):
