@@ -22,9 +22,11 @@ from pmbm.datasets.logs import (
 )
 from pmbm.datasets.nuscenes_tables import (
     LABELS,
+    MODALITIES,
     RANGE,
     Tables,
     counted,
+    read_modalities,
     read_results,
 )
 from pmbm.datasets.poses import yaw_quaternion
@@ -36,13 +38,6 @@ from pmbm.types import Recording, TrackSequence
 
 CLASSES: Final = tuple(LABELS)
 _MOST_BOXES: Final = 500
-_META: Final = {
-    "use_camera": False,
-    "use_lidar": True,
-    "use_radar": False,
-    "use_map": False,
-    "use_external": False,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +104,7 @@ class NuScenes(LogFolder):
             results[token] = [_row(box, token) for box in boxes]
         name = safe_name(sequence, Place(self.root), "sequences")
         path = prepare_folder(Path(out)) / f"{name}.json"
-        _write(path, results)
+        _write(path, results, self._modalities)
         return path
 
     def read(self, sequence: str, folder: Path) -> TrackSequence:
@@ -139,15 +134,17 @@ class NuScenes(LogFolder):
 
         Raises InputError where a scene has no result."""
         joined: dict[str, Any] = {}
+        used = []
         for sequence in sequences:
             tokens, _ = self._frames(sequence)
             boxes = self._results(sequence, tokens, out)
+            used.append(read_modalities(self._result_file(sequence, out)))
             joined |= {
                 token: [_row(box, token) for box in frame]
                 for token, frame in zip(tokens, boxes, strict=True)
             }
         path = Path(out) / "submission.json"
-        _write(path, joined)
+        _write(path, joined, {name: any(one[name] for one in used) for name in MODALITIES})
         return path
 
     @cached_property
@@ -166,10 +163,18 @@ class NuScenes(LogFolder):
     def _racks(self, token: str) -> list[Box]:
         return self._tables.racks(token)
 
-    def _results(self, sequence: str, tokens: Sequence[str], folder: Path) -> list[list[Box]]:
+    @cached_property
+    def _modalities(self) -> Mapping[str, bool]:
+        """What the detections were made from; without detections, what a file that says nothing
+        stands for."""
+        return MODALITIES if self.detections is None else read_modalities(Path(self.detections))
+
+    def _result_file(self, sequence: str, folder: Path) -> Path:
         name = safe_name(sequence, Place(Path(folder)), "sequences")
-        path = result_file(Path(folder), f"{name}.json", self.sequences)
-        return read_results(path, tokens, "tracking", named=True)
+        return result_file(Path(folder), f"{name}.json", self.sequences)
+
+    def _results(self, sequence: str, tokens: Sequence[str], folder: Path) -> list[list[Box]]:
+        return read_results(self._result_file(sequence, folder), tokens, "tracking", named=True)
 
 
 def _row(box: Box, token: str) -> dict[str, Any]:
@@ -186,5 +191,6 @@ def _row(box: Box, token: str) -> dict[str, Any]:
     }
 
 
-def _write(path: Path, results: Mapping[str, Any]) -> None:
-    replace_text(path, json.dumps({"meta": _META, "results": results}, indent=1, allow_nan=False))
+def _write(path: Path, results: Mapping[str, Any], modalities: Mapping[str, bool]) -> None:
+    document = {"meta": dict(modalities), "results": results}
+    replace_text(path, json.dumps(document, indent=1, allow_nan=False))

@@ -13,6 +13,7 @@ import numpy as np
 from pmbm.datasets.files import (
     LARGEST_SIZE,
     Place,
+    as_read,
     id_value,
     integer_value,
     json_key,
@@ -276,6 +277,30 @@ def counted(box: Box, where: Pose, racks: Sequence[Box]) -> bool:
 def _inside(rack: Box, box: Box) -> bool:
     local = to_local(box.place[:2], (*rack.place[:2], rack.yaw))
     return bool((np.abs(local) <= np.array(rack.size[:2]) / 2).all())
+
+
+MODALITIES: Final = {
+    "use_camera": False,
+    "use_lidar": True,
+    "use_radar": False,
+    "use_map": False,
+    "use_external": False,
+}
+"""What a file of results was made from that does not say it."""
+
+
+def read_modalities(path: Path) -> dict[str, bool]:
+    """What a file of results was made from, by its `meta`.
+
+    Raises InputError for a `meta` that says something else than true or false.
+    """
+    place = Place(path)
+    meta = json_object(json_object(read_json(path), place).get("meta", {}), place, "meta")
+    for name in MODALITIES:
+        if not isinstance(meta.get(name, False), bool):
+            raise place.error("not a yes or no", field=f"meta.{name}", got=as_read(meta[name]))
+    # A file that names one of them says of the others that they were not used.
+    return {name: meta.get(name, False if meta else MODALITIES[name]) for name in MODALITIES}
 
 
 def read_results(path: Path, tokens: Sequence[str], prefix: str, *, named: bool) -> list[list[Box]]:

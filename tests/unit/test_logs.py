@@ -382,6 +382,24 @@ class TestNuScenes:
                             "tracking_id", "tracking_name", "tracking_score"}  # fmt: skip
         assert box["size"] == [1.9, 4.6, 1.6]
 
+    def test_a_submission_says_what_its_detections_were_made_from(self, folder):
+        edit(folder / "nuscenes" / "detections.json", lambda d: d.update(meta={"use_camera": True}))
+        dataset = opened(folder, "nuscenes")
+        tracks = as_tracks(dataset.recording("scene-0001"))
+        for path in (
+            dataset.write("scene-0001", tracks, folder / "out"),
+            dataset.submit(["scene-0001"], folder / "out"),
+        ):
+            meta = json.loads(path.read_text())["meta"]
+            assert [name for name, used in meta.items() if used] == ["use_camera"]
+
+    def test_what_detections_were_made_from_is_a_yes_or_no(self, folder):
+        edit(folder / "nuscenes" / "detections.json", lambda d: d.update(meta={"use_radar": 1}))
+        dataset = opened(folder, "nuscenes")
+        tracks = as_tracks(dataset.recording("scene-0001"))
+        with pytest.raises(InputError, match=r"not a yes or no.*use_radar"):
+            dataset.write("scene-0001", tracks, folder / "out")
+
     def test_the_sample_of_results_reads(self, folder):
         (folder / "out").mkdir()
         shutil.copy(folder / "nuscenes" / "tracks.json", folder / "out" / "scene-0001.json")
