@@ -26,8 +26,9 @@ from pmbm.datasets.nuscenes_tables import (
     RANGE,
     Tables,
     counted,
-    read_modalities,
+    modalities,
     read_results,
+    result_boxes,
 )
 from pmbm.datasets.poses import yaw_quaternion
 from pmbm.durable import replace_text
@@ -73,7 +74,7 @@ class NuScenes(LogFolder):
         found = None
         if self.detections is not None:
             path = Path(self.detections)
-            found = read_results(path, tokens, "detection", named=False)
+            found = result_boxes(read_results(path), path, tokens, "detection", named=False)
         return log_recording(
             name=f"nuscenes-{sequence}",
             timeline=timeline,
@@ -137,8 +138,9 @@ class NuScenes(LogFolder):
         used = []
         for sequence in sequences:
             tokens, _ = self._frames(sequence)
-            boxes = self._results(sequence, tokens, out)
-            used.append(read_modalities(self._result_file(sequence, out)))
+            path, document = self._result_file(sequence, out)
+            boxes = result_boxes(document, path, tokens, "tracking", named=True)
+            used.append(modalities(document, path))
             joined |= {
                 token: [_row(box, token) for box in frame]
                 for token, frame in zip(tokens, boxes, strict=True)
@@ -167,14 +169,20 @@ class NuScenes(LogFolder):
     def _modalities(self) -> Mapping[str, bool]:
         """What the detections were made from; without detections, what a file that says nothing
         stands for."""
-        return MODALITIES if self.detections is None else read_modalities(Path(self.detections))
+        if self.detections is None:
+            return MODALITIES
+        path = Path(self.detections)
+        return modalities(read_results(path), path)
 
-    def _result_file(self, sequence: str, folder: Path) -> Path:
+    def _result_file(self, sequence: str, folder: Path) -> tuple[Path, Mapping[str, Any]]:
+        """Where the scene's results are, and what stands there."""
         name = safe_name(sequence, Place(Path(folder)), "sequences")
-        return result_file(Path(folder), f"{name}.json", self.sequences)
+        path = result_file(Path(folder), f"{name}.json", self.sequences)
+        return path, read_results(path)
 
     def _results(self, sequence: str, tokens: Sequence[str], folder: Path) -> list[list[Box]]:
-        return read_results(self._result_file(sequence, folder), tokens, "tracking", named=True)
+        path, document = self._result_file(sequence, folder)
+        return result_boxes(document, path, tokens, "tracking", named=True)
 
 
 def _row(box: Box, token: str) -> dict[str, Any]:

@@ -289,13 +289,18 @@ MODALITIES: Final = {
 """What a file of results was made from that does not say it."""
 
 
-def read_modalities(path: Path) -> dict[str, bool]:
-    """What a file of results was made from, by its `meta`.
+def read_results(path: Path) -> Mapping[str, Any]:
+    """A file of results, of detections or tracks, as it stands."""
+    return json_object(read_json(path), Place(path))
+
+
+def modalities(document: Mapping[str, Any], path: Path) -> dict[str, bool]:
+    """What the results in that file were made from, by its `meta`.
 
     Raises InputError for a `meta` that says something else than true or false.
     """
     place = Place(path)
-    meta = json_object(json_object(read_json(path), place).get("meta", {}), place, "meta")
+    meta = json_object(document.get("meta", {}), place, "meta")
     for name in MODALITIES:
         if not isinstance(meta.get(name, False), bool):
             raise place.error("not a yes or no", field=f"meta.{name}", got=as_read(meta[name]))
@@ -303,10 +308,11 @@ def read_modalities(path: Path) -> dict[str, bool]:
     return {name: meta.get(name, False if meta else MODALITIES[name]) for name in MODALITIES}
 
 
-def read_results(path: Path, tokens: Sequence[str], prefix: str, *, named: bool) -> list[list[Box]]:
+def result_boxes(
+    document: Mapping[str, Any], path: Path, tokens: Sequence[str], prefix: str, *, named: bool
+) -> list[list[Box]]:
     """The boxes of these samples, all of which the file must list."""
     place = Place(path)
-    document = json_object(read_json(path), place)
     results = json_object(json_key(document, "results", place), place, "results")
     frames = []
     for token in tokens:
